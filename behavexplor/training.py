@@ -162,10 +162,7 @@ def save_model(model: BaseAlgorithm, path: Path) -> None:
 def restore_model(model: BaseAlgorithm, path: Path, otherwise: str) -> None:
     """Load a saved state into a new model. Only numbers are read from the file, never code.
 
-    Args:
-        model: the model.
-        path: file of `save_model`.
-        otherwise: what a user can do if the file cannot be read.
+    `otherwise` says what a user can do if the file cannot be read.
 
     Raises:
         InputError: if the file is damaged or belongs to another model.

@@ -73,9 +73,7 @@ class CarefulDriver:
 def careful_driver(roadmap: RoadMap | None, variant: str = "") -> CarefulDriver:
     """Make the driver.
 
-    Args:
-        roadmap: must be None, because the driver knows highway-env's own environments only.
-        variant: must be empty, because the driver has no variants.
+    It knows highway-env's own environments only, so `roadmap` must be None, and has no variants.
 
     Raises:
         InputError: if the environment is one of this package, or a variant is given.

@@ -54,11 +54,7 @@ class ConstantDriver:
 
 
 class ConstantManeuver:
-    """A driver that always chooses the same of highway-env's meta-actions.
-
-    Args:
-        maneuver: name of the meta-action, one of `behavexplor.data.conventions.MANEUVERS`.
-    """
+    """A driver that always chooses the same of highway-env's meta-actions, one of `MANEUVERS`."""
 
     vectorized: bool = True
 

@@ -29,11 +29,7 @@ PERIOD: Final = 0.1  # time between decisions [s]
 
 
 class IDMDriver:
-    """A driver that follows the center line of its route at the speed given by the Intelligent Driver Model.
-
-    Args:
-        roadmap: road map with the ego's route.
-    """
+    """A driver that follows the center line of its route at the speed given by the Intelligent Driver Model."""
 
     observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
     action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
@@ -52,12 +48,6 @@ class IDMDriver:
     ) -> tuple[Floats, Any]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
-        Args:
-            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: returned unchanged; the model has no memory.
-            episode_start: ignored.
-            deterministic: ignored; the model is always deterministic.
-
         Raises:
             InputError: if the observation has the wrong shape.
         """
@@ -68,11 +58,7 @@ class IDMDriver:
 
 
 def idm_driver(roadmap: RoadMap, variant: str = "") -> IDMDriver:
-    """Make the driver.
-
-    Args:
-        roadmap: road map with the ego's route.
-        variant: must be empty, because the model has no variants.
+    """Make the driver, which has no variants.
 
     Raises:
         InputError: if a variant is given.

@@ -78,13 +78,9 @@ class StochasticADS(Protocol):
     def draw(
         self, observation: Any, state: Any, episode_start: NDArray[np.bool_] | None, noise: NDArray[np.float64]
     ) -> tuple[NDArray[Any], Any]:
-        """Draw the actions of a batch of egos; see `ADS.predict`.
+        """Draw the actions of a batch of egos by independent uniform numbers in [0, 1), shape (B, `noise`).
 
-        Args:
-            observation: see `ADS.predict`.
-            state: see `ADS.predict`.
-            episode_start: see `ADS.predict`.
-            noise: independent uniform numbers in [0, 1), shape (B, `noise`). The same numbers give the same actions.
+        The same numbers give the same actions. The rest is that of `ADS.predict`.
         """
         ...
 

@@ -170,11 +170,7 @@ def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
 
 
 def as_driver(found: Any) -> ADS | None:
-    """Return an object with a `predict` method as it is, and a function of one observation as a driver.
-
-    Returns:
-        The driver; None for anything else, such as a class.
-    """
+    """Return an object that predicts as it is, a function of one observation as a driver, and None for others."""
     if isinstance(found, type):
         return None
     if callable(getattr(found, "predict", None)):
@@ -207,12 +203,6 @@ class FunctionDriver:
 
     Attributes of the function that declare its observations and actions (`DECLARED`) are those of the driver. Without
     them, it observes and acts as the environment does by default.
-
-    Args:
-        function: the function.
-
-    Attributes:
-        is_function: True, so that messages speak of a function instead of `predict`.
     """
 
     vectorized = False

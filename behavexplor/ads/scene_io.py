@@ -25,10 +25,7 @@ ACTION: Final[Mapping[str, Any]] = MappingProxyType(
 
 
 def as_scenes(observation: NDArray[Any]) -> Floats:
-    """Return an observation as scenes, rounded to `RESOLUTION`.
-
-    Args:
-        observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
+    """Return an observation as scenes, shape (B, 1 + n, 8), rounded to `RESOLUTION`.
 
     Raises:
         InputError: if the observation has another shape.
@@ -47,12 +44,7 @@ def _round(numbers: Floats) -> None:
 
 
 def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Floats:
-    """Return the memory as a new, writable array: zeros at first, and in rows that begin an episode.
-
-    Args:
-        state: state returned by the last call of `predict`; None at first.
-        episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-        shape: shape of the memory, (B, numbers remembered for each ego).
+    """Return the memory as a new array of a shape (B, n): zeros at first, and in rows that begin an episode.
 
     Raises:
         InputError: if an array has another shape.

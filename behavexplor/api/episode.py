@@ -14,10 +14,6 @@ class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
     """The environment in which a scenario was executed, as the driver saw it. Each `reset` begins the scenario.
 
     Rendering and `unwrapped` are those of the environment. At the end of the episode, `info["trace"]` is its trace.
-
-    Args:
-        simulation: the driving system in its environment.
-        scenario: the scenario.
     """
 
     def __init__(self, simulation: Simulation, scenario: Scenario) -> None:

@@ -72,13 +72,7 @@ class CampaignService(Service):
             return _to_json(outcome) + b"\n" + pack(folder)
 
     def run_in(self, config: CampaignConfig, folder: Path, workers: int) -> Outcome:
-        """Run or resume a campaign in a run folder.
-
-        Args:
-            config: configuration of the campaign.
-            folder: the run folder.
-            workers: number of processes that execute its scenarios; 0 is this process.
-        """
+        """Run or resume a campaign in a run folder."""
         warnings: list[str] = []
         try:
             finished = self._run(config, folder, workers, warnings)
@@ -108,12 +102,8 @@ def campaign_recipe(targets: Iterable[Target]) -> Recipe:
 def campaign_request(config: CampaignConfig, folder: Path, workers: int, *, remote: bool) -> bytes:
     """Return the request for `CampaignService.run`.
 
-    Args:
-        config: configuration of the campaign.
-        folder: its run folder on this machine.
-        workers: number of processes that execute its scenarios; 0 is the campaign's own process.
-        remote: whether the campaign may run on a machine without access to this folder. The contents of the folder are
-            then part of the request.
+    A `remote` campaign may run on a machine without access to the folder, so the folder's contents are part of the
+    request.
     """
     place = None if remote else str(folder.resolve())
     head = {"config": {**asdict(config)}, "folder": place, "workers": workers}

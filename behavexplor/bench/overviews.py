@@ -40,10 +40,7 @@ _MEANING = (
 def overviews(experiment: Experiment, summaries: Sequence[Summary], cut: EqualTime | None) -> list[Table]:
     """Return the means of each figure in which methods are compared, and the effect sizes; none for one scenario.
 
-    Args:
-        experiment: the experiment.
-        summaries: summaries of its finished campaigns.
-        cut: these campaigns in equal time, whose means get tables, too; None if a time was not measured.
+    `cut` has the same campaigns in equal time, whose means get tables, too; None if a time was not measured.
     """
     if len(experiment.places) == 1:
         return []

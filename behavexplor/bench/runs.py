@@ -74,11 +74,6 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
 def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> None:
     """Refuse a stored campaign that is not that of a run. Its budget may differ.
 
-    Args:
-        stored: configuration of the stored campaign.
-        run: the run.
-        what: name of the stored campaign for the message, such as its run folder.
-
     Raises:
         InputError: if the campaign has another configuration or another revision.
     """
@@ -90,12 +85,8 @@ def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> N
 class ExperimentRunner:
     """Executes the unfinished runs of an experiment.
 
-    Args:
-        runs: all runs of the experiment, in the order in which they are executed.
-        root: the experiment's folder.
-        jobs: number of runs at a time; on a cluster, the number of nodes, or 0 for one node for each core.
-        workers: number of processes that execute the scenarios of one run; with 0, the run's own process does.
-        cluster: name of a cluster, see `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
+    It executes `jobs` runs at a time; on a cluster, that is the number of nodes, or 0 for one for each core. Each run
+    has `workers` processes that execute its scenarios; with 0, its own process does.
 
     Attributes:
         progress: progress of the experiment.
@@ -227,10 +218,6 @@ def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], f
 
 def trial(target: Target, batch: int) -> float:
     """Return the mean time of a few executions [s].
-
-    Args:
-        target: the driving system and its environment.
-        batch: number of scenarios that run at a time, as a campaign's `batch`.
 
     Raises:
         InputError: if the ADS or the environment cannot be used.

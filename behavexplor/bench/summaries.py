@@ -107,12 +107,7 @@ class Summary:
         return sum(label in (None, failure.label) for failure in self.failures)
 
     def kinds(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
-        """Return the unique violations: the classes of the failures.
-
-        Args:
-            label: label of the failures; None for all.
-            before: number of the execution before which failures count; None for no limit.
-        """
+        """Return the unique violations, the classes of the failures: of all, of a label, or before an execution."""
         return frozenset(
             failure.kind
             for failure in self.failures
@@ -293,12 +288,10 @@ class Correlation(NamedTuple):
 
 
 def correlation(mutants: Iterable[Mutant], *, passed: bool = False) -> Correlation | None:
-    """Return the correlation of degree and distance; None if one of them does not vary or there are too few mutants.
+    """Return the correlation of degree and distance; None for too few mutants, or if one of them does not vary.
 
-    Args:
-        mutants: the mutants, of one campaign or of several.
-        passed: whether only mutants that did not fail count. A failing run ends early at a collision or late at a
-            standstill, so that its length makes it far from other behaviors, and its violation makes its degree low.
+    With `passed`, only mutants that did not fail count. A failing run ends early at a collision or late at a
+    standstill, so that its length makes it far from other behaviors, and its violation makes its degree low.
     """
     chosen = [(mutant.degree, mutant.distance) for mutant in mutants if not (passed and mutant.failed)]
     values = np.asarray(chosen, dtype=float).reshape(-1, 2)

@@ -57,14 +57,10 @@ def place_columns(experiment: Experiment) -> tuple[Column, ...]:
 def table_by_method(
     table: Table, experiment: Experiment, summaries: Sequence[Summary], cells: Cells, methods: Sequence[str] = ()
 ) -> Table:
-    """Return a table with a row for each method in each environment.
+    """Return a table with a row for each method in each environment, by default for all methods.
 
-    Args:
-        table: name, title and notes of the table, and its columns but for those of environment and method.
-        experiment: the experiment.
-        summaries: summaries of its finished campaigns.
-        cells: function from the campaigns of a method in an environment to the cells of its row; none for no row.
-        methods: methods that have rows; by default all.
+    The given table has the name, title, notes and further columns. `cells` makes a row of a method's campaigns in an
+    environment, or none.
     """
     rows: list[tuple[Value, ...]] = []
     blocks = []

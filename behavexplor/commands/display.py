@@ -36,13 +36,7 @@ _FIGURES = {  # figures of search methods, in words
 
 
 class Display:
-    """Shows the progress of a campaign.
-
-    Args:
-        stream: output stream. A terminal shows a live screen; any other stream gets a line every few seconds.
-        budget: budget of the campaign.
-        quiet: whether to show nothing.
-    """
+    """Shows the progress of a campaign: a live screen on a terminal, or else a line every few seconds."""
 
     def __init__(self, stream: TextIO, budget: Budget, *, quiet: bool) -> None:
         self._console = PlainConsole(file=stream, quiet=quiet)
@@ -220,14 +214,7 @@ def _ago(progress: Progress, mark: str) -> str:
 
 
 class Meter:
-    """Shows how many items of a task are done.
-
-    Args:
-        stream: output stream. A terminal shows a bar; any other stream gets a line every few seconds.
-        total: total number of items.
-        things: name of the items, such as "executions".
-        quiet: whether to show nothing.
-    """
+    """Shows how many items of a task are done: a bar on a terminal, or else a line every few seconds."""
 
     def __init__(self, stream: TextIO, total: int, things: str, *, quiet: bool) -> None:
         self._console = PlainConsole(file=stream, quiet=quiet)

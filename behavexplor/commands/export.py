@@ -111,12 +111,6 @@ def _highway_env(setup: Setup) -> Any:
 def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) -> tuple[RoadPlan, LogicalScenario]:
     """Return the road of a scenario, and the scenarios of its environment.
 
-    Args:
-        scenario: the scenario; None if its environment has one road for all.
-        env: name of the environment.
-        env_config: configuration of the environment, as far as it differs from its own. A scenario of a
-            highway-env environment holds its own.
-
     Raises:
         InputError: if the environment cannot be made, or has a road that cannot be exported.
     """

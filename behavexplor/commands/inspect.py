@@ -120,12 +120,7 @@ def _driving(policy: str, config: dict[str, Any] | None, trust: tuple[str, ...],
 
 
 def _place(seen: dict[str, Any], refused: list[str]) -> dict[str, Any]:
-    """Return where a policy drives.
-
-    Args:
-        seen: the policy as it sees each environment that it fits, and under "" as it sees one that it does not fit.
-        refused: why it cannot see others.
-    """
+    """Return where a policy drives."""
     fits = [env for env in seen if env]
     if fits:
         is_said = any(hasattr(seen[fits[0]], key) for key in (*DECLARED, "env_config"))
@@ -154,9 +149,6 @@ class Contents:
 
 def contents_of(policy: str) -> Contents:
     """Read a policy's file, or that in a folder of rl-zoo3.
-
-    Args:
-        policy: path, or "learned:NAME".
 
     Raises:
         InputError: if it is no such file, or cannot be read.

@@ -16,15 +16,9 @@ _UNIT_BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
 
 def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
-    """Compute the corners of oriented boxes.
+    """Compute the corners of oriented boxes in order around each box, shape (..., 4, 2).
 
-    Args:
-        position: centers, shape (..., 2) [m].
-        heading: headings, shape (...) [rad].
-        size: length and width, shape (..., 2) [m], broadcast against `position`.
-
-    Returns:
-        Corners in order around each box, shape (..., 4, 2).
+    Centers have the shape (..., 2) [m], headings (...) [rad]; length and width are broadcast against the centers.
     """
     local = _UNIT_BOX * np.asarray(size)[..., None, :]
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
@@ -37,14 +31,9 @@ def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
 
 
 def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
-    """Return whether boxes touch or overlap, by the separating axis theorem.
+    """Return whether boxes touch or overlap, shape (...), by the separating axis theorem.
 
-    Args:
-        a: corners, shape (..., 4, 2).
-        b: corners, shape (..., 4, 2).
-
-    Returns:
-        Booleans, shape (...).
+    They are given by their corners, shape (..., 4, 2).
     """
     separated = np.zeros(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), dtype=bool)
     for box in (a, b):
@@ -64,16 +53,9 @@ def point_segment_distances(points: Floats, segments: Floats) -> Floats:
 
 
 def point_box_distance(point: Floats, position: Floats, heading: Floats, size: Floats) -> Floats:
-    """Compute the distance from a point to boxes, 0 within them.
+    """Compute the distance from a point, shape (2,), to boxes, 0 within them; shape (...) [m].
 
-    Args:
-        point: the point, shape (2,) [m].
-        position: centers, shape (..., 2) [m].
-        heading: headings, shape (...) [rad].
-        size: length and width, shape (2,) [m].
-
-    Returns:
-        Distances, shape (...).
+    Centers have the shape (..., 2) [m], headings (...) [rad]; all boxes have one length and width.
     """
     gap = point - position
     cos, sin = np.cos(heading), np.sin(heading)
@@ -83,15 +65,7 @@ def point_box_distance(point: Floats, position: Floats, heading: Floats, size: F
 
 
 def box_distance(a: Floats, b: Floats) -> Floats:
-    """Compute the shortest distance between boxes [m], 0 if they touch or overlap.
-
-    Args:
-        a: corners, shape (..., 4, 2).
-        b: corners, shape (..., 4, 2).
-
-    Returns:
-        Distances, shape (...).
-    """
+    """Compute the shortest distances between boxes, given by corners (..., 4, 2), shape (...) [m]; 0 if they touch."""
     if a.shape != b.shape:
         a, b = np.broadcast_arrays(a, b)
     gaps = np.empty(a.shape[:-2])
@@ -120,12 +94,7 @@ def gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats) 
 
 
 def changed_frames(position: Floats, heading: Floats) -> Ints:
-    """Return the frames in which the first vehicle differs from the frame before, and the first frame.
-
-    Args:
-        position: centers, shape (T, N, 2) [m].
-        heading: headings, shape (T, N) [rad].
-    """
+    """Return the frames in which the first vehicle differs from the frame before, and the first frame."""
     frames = np.empty(len(heading), dtype=np.intp)
     count = box_kernels.fill_changed_frames(np.ascontiguousarray(position), np.ascontiguousarray(heading), frames)
     return frames[:count]
@@ -212,15 +181,7 @@ def _flat(points: Floats, count: int) -> Floats:
 
 
 def segment_meets_box(box: Floats, segment: Floats) -> NDArray[np.bool_]:
-    """Return whether segments touch or enter boxes, by the separating axis theorem.
-
-    Args:
-        box: corners, shape (..., 4, 2).
-        segment: end points, shape (..., 2, 2).
-
-    Returns:
-        Booleans, shape (...).
-    """
+    """Return whether segments (..., 2, 2) touch or enter boxes (..., 4, 2), by the separating axis theorem."""
     start, end = segment[..., 0, :], segment[..., 1, :]
     along = end - start
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)

@@ -41,12 +41,7 @@ class RoadShape:
         return sum(len(line) for line in (*self.surfaces, *self.striped, *self.borders)) + int(sum(lengths) / PERIOD)
 
     def dashes(self, low: Floats, high: Floats) -> list[Floats]:
-        """Return the dashes of the striped lines within a rectangle, each of shape (2, 2).
-
-        Args:
-            low: corner of the rectangle with the least coordinates, shape (2,) [m].
-            high: corner with the greatest coordinates, shape (2,) [m].
-        """
+        """Return the dashes of the striped lines in the rectangle from `low` to `high` [m], each of shape (2, 2)."""
         found = []
         for line in self.striped:
             ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])

@@ -178,12 +178,6 @@ def shift_waypoints(npc: NPC, logical: ScriptedRanges, rng: np.random.Generator,
 
     A waypoint stays in its lane. Waypoints on one lane that overtook each other are sorted. Speeds stay in their range,
     and the last one stays 0.
-
-    Args:
-        npc: an NPC that is valid in `logical`.
-        logical: logical scenario with the lanes and the speed range.
-        rng: random generator.
-        noise: size of the noise.
     """
     low, high = logical.position_ranges(logical.roadmap.routes[npc.route]).T
     values = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])
@@ -318,11 +312,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
 
 
 def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
-    """Return a logical scenario of scripted vehicles as what it is.
-
-    Args:
-        logical: any logical scenario.
-        what: what needs scripted vehicles, for the error message.
+    """Return a logical scenario of scripted vehicles as what it is; `what` needs it, for the error message.
 
     Raises:
         InputError: if it is one of a highway-env environment.

@@ -54,10 +54,6 @@ def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) ->
 def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
     """Return the value of a YAML document.
 
-    Args:
-        text: the document.
-        loader: YAML loader class that constructs the values.
-
     Raises:
         ValueError: if the text is not YAML, or its value would become too large or too deep.
     """
@@ -101,9 +97,7 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
 def parse_json(text: str, what: str) -> Any:
     """Return the value of a JSON document.
 
-    Args:
-        text: the document.
-        what: what the document should be, for error messages, such as "a scenario".
+    `what` says for error messages what it should be, such as "a scenario".
 
     Raises:
         InputError: if the text is too long or not JSON.

@@ -176,9 +176,7 @@ class DrivingEnv(PlainSimulation):
     ) -> tuple[NDArray[Any], dict[str, Any]]:
         """Begin an episode.
 
-        Args:
-            seed: seed of the generator that samples scenarios.
-            options: the concrete scenario to run, under the key `scenario`. Without it a scenario is sampled.
+        `options` has the concrete scenario to run, under the key `scenario`. Without it a scenario is sampled.
 
         Raises:
             InputError: if the scenario cannot be run in this environment, or an option is unknown.

@@ -131,12 +131,7 @@ _OF_HIGHWAY_ENV: Final = "highway_env."
 
 
 def default_config(simulator: Mapping[str, Any], logical: ScriptedLogicalScenario) -> dict[str, Any]:
-    """Return the default configuration of an environment.
-
-    Args:
-        simulator: highway-env's default configuration.
-        logical: the environment's logical scenario.
-    """
+    """Return the default configuration of an environment."""
     config = dict(simulator) | {
         "observation": default_observation(logical),
         "action": {"type": "ContinuousAction"},
@@ -252,11 +247,6 @@ def _types(observation: Mapping[str, Any]) -> list[str]:
 def check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
     """Check the configuration of an observation or action: highway-env reads every key, and needs no other.
 
-    Args:
-        what: what it configures, for messages: "observation" or "action", perhaps with the place of a part.
-        config: the configuration.
-        types: highway-env's classes by the names that `config["type"]` may have.
-
     Raises:
         InputError: if a key is unknown or missing, or a value is out of range.
     """
@@ -305,10 +295,6 @@ def check_space_keys(env: AbstractEnv, config: Mapping[str, Any]) -> None:
 
     A key of another type is not refused: configurations keep such keys when their type is changed, and highway-env's
     own documentation has some. An environment that makes its own observations may read any key.
-
-    Args:
-        env: the environment in its own configuration.
-        config: the configuration.
 
     Raises:
         InputError: if one is unknown; the message names it, and the nearest match.

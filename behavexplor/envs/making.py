@@ -154,17 +154,7 @@ def drawn(
     traffic: Traffic = DEFAULT,
     render_mode: str | None = None,
 ) -> gymnasium.Env[Any, Any]:
-    """Make `behavexplor/drawn-v0`: an environment of highway-env that takes `reset(options={"scenario": ...})`.
-
-    Args:
-        env: id of the environment.
-        config: its configuration, as far as it differs from its own.
-        traffic: kind of traffic, see `behavexplor.data.drawn_scenario.Setup`.
-        render_mode: what `render` returns or shows, as in gymnasium.
-
-    Raises:
-        InputError: see `make_env`.
-    """
+    """Make `behavexplor/drawn-v0`: an environment of highway-env that takes `reset(options={"scenario": ...})`."""
     return make_env(env, config or {}, traffic, render_mode)
 
 

@@ -101,10 +101,6 @@ class DrivingVectorEnv(LockStepVectorEnv):
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> None:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one.
 
-        Args:
-            mask: the chosen slots, shape (num_envs,).
-            scenarios: a scenario or None for each slot; None if all are sampled.
-
         Raises:
             InputError: if a scenario has no room in a slot.
         """

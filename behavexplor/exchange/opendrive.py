@@ -220,13 +220,7 @@ def _junctions(links: Links, count: int) -> tuple[int, ...]:
 
 
 def write_road(plan: RoadPlan, name: str, path: Path) -> None:
-    """Write a road as an OpenDRIVE file.
-
-    Args:
-        plan: the road.
-        name: name of the road network.
-        path: path of the file.
-    """
+    """Write a road as an OpenDRIVE file."""
     layout = road_layout(plan)
     network = xodr.OpenDrive(name, revMinor=REVISION)
     for i in range(len(layout.roads)):

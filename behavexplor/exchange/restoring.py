@@ -117,10 +117,6 @@ def restored(scene: SceneFile, logical: LogicalScenario) -> Scenario:
 
     The script of a vehicle counts. If its motion was changed by hand, or it has no script, one is fitted to its motion.
 
-    Args:
-        scene: the scene, as it was read.
-        logical: the scenarios of the scene's environment.
-
     Raises:
         InputError: if the scene cannot be taken; the message names what is wrong.
     """

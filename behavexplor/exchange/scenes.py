@@ -86,12 +86,6 @@ def movers_of(scenario: Scenario, trace: Trace, roadmap: RoadMap | None, *, is_e
     """Return the vehicles of an execution.
 
     With a free ego, the scene may take longer than the execution. So scripted vehicles go on until they park.
-
-    Args:
-        scenario: the scenario.
-        trace: the trace of the execution.
-        roadmap: the map; None for a highway-env environment.
-        is_ego_free: whether only the ego's start is of interest.
     """
     speed = np.hypot(trace.velocity[..., 0], trace.velocity[..., 1])
     pose = np.concatenate([trace.position, trace.heading[..., None]], axis=2)

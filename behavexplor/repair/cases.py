@@ -106,12 +106,7 @@ class Suite:
     cases: tuple[Case, ...] = ()  # the cases in the order of their names
 
     def target(self, ads: str, **settings: Any) -> CheckedTarget:
-        """Return the target that drives the cases with a driver.
-
-        Args:
-            ads: name of the driver.
-            settings: further fields of the target.
-        """
+        """Return the target that drives the cases with a driver."""
         config = dict(self.env_config)
         if self.cases:
             config |= min(self.cases, key=lambda case: case.name).load_scenario().scene_config
@@ -219,9 +214,7 @@ def _yaml(values: Mapping[str, Any]) -> str:
 def candidates(records: Iterable[Record], known: Mapping[int, Finding]) -> dict[str, list[int]]:
     """Return the numbers of the failures for which the driver was at fault, by class, in order.
 
-    Args:
-        records: the records of a run.
-        known: findings of triage by the numbers of the executions. Their fault replaces that of the record.
+    Findings of triage replace the faults in the records.
     """
     found: dict[str, list[int]] = {}
     for record in records:

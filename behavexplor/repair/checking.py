@@ -90,13 +90,6 @@ def opened_driver(
 ) -> Iterator[Checker]:
     """Load a driver, and return what drives the cases of a suite with it.
 
-    Args:
-        suite: the suite.
-        ads: name of the driver; None for that of the suite.
-        workers: number of worker processes; 0 uses this process.
-        trust: digests of policy files that may run code, and of suites from elsewhere whose code may be run.
-        settings: further fields of the `behavexplor.data.target.Target`.
-
     Raises:
         InputError: if the suite names code that the user has not agreed to, the driver cannot be loaded or does not fit
             the environment, or a case names an unknown spec.

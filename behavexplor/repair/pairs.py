@@ -72,10 +72,7 @@ def judged_inferior(pairs: Pairs, margin: float) -> PairedSequence:
 
 
 def paired(first: Iterable[Record], second: Iterable[Record]) -> list[Pairs]:
-    """Compare the records of two drivers, one by one.
-
-    Returns:
-        The pairs of each outcome: any failure, failures at fault, and violations of each spec.
+    """Compare two drivers' records one by one: any failure, failures at fault, and violations of each spec.
 
     Raises:
         InputError: if the scenarios are not the same.

@@ -120,10 +120,7 @@ class PoolReporter(TrainingReporter):
 
     A scenario leaves the pool when an episode in it ends without a failure at fault.
 
-    Args:
-        observe: callback that gets the progress after each batch of experience.
-        pool: the pool.
-        own: whether a scenario enters the pool when an episode in it ends with a failure at fault.
+    With `own`, one enters the pool when an episode in it ends with such a failure.
     """
 
     def __init__(self, observe: Callable[[Learned], None], pool: Pool, *, own: bool) -> None:
@@ -175,9 +172,8 @@ def search_config(target: Target, method: str, budget: int, seed: int) -> Campai
 def found_failures(target: Target, method: str, budget: int, seed: int, folder: Path) -> tuple[list[Any], int]:
     """Run a campaign on a policy, or read it if its folder has it.
 
-    Returns:
-        The scenarios of the failures for which the policy was at fault, without collisions that no tried evasion
-        avoids; and the number of decisions of the whole campaign.
+    Return the scenarios of the failures for which the policy was at fault, without collisions that no tried evasion
+    avoids; and the number of decisions of the whole campaign.
 
     Raises:
         ExecutionError: if an execution could not be carried out.
@@ -208,16 +204,10 @@ def _preventable(simulation: Simulation, execution: Execution, seed: int) -> boo
 def retrain(
     config: RetrainingConfig, folder: Path, observe: Callable[[Learned], None], report: Callable[[Round], None]
 ) -> list[Round]:
-    """Retrain a policy. If the folder has finished rounds, the retraining resumes after the last one.
+    """Retrain a policy, or resume after the last round in the folder; return all rounds.
 
-    Args:
-        config: configuration of the retraining.
-        folder: folder for the rounds and the best policy, see `policy_in`.
-        observe: callback that gets the progress of a round after each batch of experience.
-        report: callback that gets each finished round.
-
-    Returns:
-        All rounds; see `best`.
+    `observe` gets the progress of a round after each batch of experience, and `report` each finished round. The best
+    policy is that of `best`; see `policy_in`.
 
     Raises:
         InputError: if the policy or the environment cannot be used, or a file of the folder cannot be read.

@@ -50,13 +50,7 @@ class Trainee:
     def learn(self, seed: int, number: int, steps: int, rate: float, watch: BaseCallback) -> None:
         """Train for one round.
 
-        Args:
-            seed: seed of the retraining.
-            number: number of the round. In the first round, a new critic learns alone before the policy does, for as
-                many steps.
-            steps: number of decisions.
-            rate: learning rate.
-            watch: callback for the training.
+        In the first round, a new critic learns alone before the policy does, for as many steps.
 
         Raises:
             DivergedError: if the network has weights that are not finite numbers afterwards.
@@ -110,10 +104,8 @@ def given_file(policy: str) -> Path:
 def open_trainee(target: Target, seed: int, envs: int | None = None) -> Trainee:
     """Return a policy that can go on learning. Its environment draws from the logical scenario.
 
-    Args:
-        target: the policy and its environment.
-        seed: seed of the weights that the file does not have.
-        envs: number of sub-environments; by default as in the training so far, or a usual one.
+    The seed is that of the weights that the file does not have. There are as many sub-environments as in the training
+    so far, or a usual number, unless one is given.
 
     Raises:
         InputError: if the policy cannot go on learning, or not in this environment.

@@ -54,11 +54,7 @@ class Behaviors:
 
 
 def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
-    """Abstract all traces with clusters fitted to these traces.
-
-    Args:
-        traces: traces by the numbers of their executions, at least one.
-    """
+    """Abstract all traces with clusters fitted to these traces."""
     miner = BehaviorMiner(MinerOptions(clusters=len(LETTERS)))
     described = [miner.describe(trace) for trace in traces.values()]
     for behavior in described:
@@ -104,13 +100,9 @@ def _plain(value: float) -> float:
 
 
 def scaled(distances: Floats) -> Floats:
-    """Lay points out in the plane at approximately given distances, by classical multidimensional scaling.
+    """Lay points out in the plane, (n, 2), at about given distances (n, n), by classical multidimensional scaling.
 
-    Args:
-        distances: symmetric matrix of distances, shape (n, n).
-
-    Returns:
-        Points, shape (n, 2). Of the mirror images, the one whose farthest point on each axis is on the positive side.
+    Of the mirror images, it is the one whose farthest point on each axis is on the positive side.
     """
     # scikit-learn's ClassicalMDS gives NaN where an eigenvalue is negative, as for points on a line.
     squared = distances**2

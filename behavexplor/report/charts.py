@@ -49,11 +49,7 @@ class Chart:
 
 
 def chart(title: str, series: Sequence[Series]) -> Chart | None:
-    """Lay out a chart.
-
-    Returns:
-        The chart, or None if no series has a value.
-    """
+    """Lay out a chart; None if no series has a value."""
     given = [line for line in series if np.isfinite(line.y).any()]
     if not given:
         return None
@@ -142,11 +138,7 @@ class StagePart:
 
 
 def stage_parts(stages: Mapping[str, float]) -> tuple[StagePart, ...]:
-    """Return the parts of a bar, in the order of the stages, without stages that took no time.
-
-    Args:
-        stages: time in each stage [s]; empty if it is not known.
-    """
+    """Return the parts of a bar, in the order of the stages, without stages that took no time."""
     total = sum(stages.values())
     parts, before = [], 0.0
     for style, (name, words) in enumerate(STAGES.items()):

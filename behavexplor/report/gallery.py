@@ -43,9 +43,7 @@ def minimal_name(number: int) -> str:
 def cards(run: ReportedRun, limit: int) -> tuple[Card, ...]:
     """Return the cards of a run: its classes, the largest first, then the executions that passed most narrowly.
 
-    Args:
-        run: the run.
-        limit: greatest number of replays. Each class gets one replay before any class gets two.
+    Each class gets one replay before any class gets two.
     """
     classes = run.classes
     found = [_card(class_id, findings, run.examined) for class_id, findings in classes.items()]
@@ -113,11 +111,6 @@ def _nearest(run: ReportedRun) -> Card | None:
 
 def replay_values(trace: Trace, record: Record, states: Sequence[tuple[str, int]]) -> dict[str, Any]:
     """Return a replay as JSON values.
-
-    Args:
-        trace: trace of the execution.
-        record: record of the execution.
-        states: its abstract trace, see `behavexplor.report.behavior_map.Behaviors.stretches`.
 
     Raises:
         InputError: if the record holds no valid scenario.

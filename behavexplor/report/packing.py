@@ -51,12 +51,7 @@ class Packed:
 
 
 def pack(trace: Trace, frame: int) -> Packed:
-    """Pack a trace.
-
-    Args:
-        trace: trace of an execution.
-        frame: index of a frame that must be kept.
-    """
+    """Pack a trace, and keep its frame of a given index."""
     kept = _kept(trace, frame)
     position = _held(trace)[kept]
     low, high = position.min((0, 1)), position.max((0, 1))

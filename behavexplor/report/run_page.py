@@ -127,11 +127,6 @@ class Section:
 def section(number: int, run: ReportedRun, limit: int) -> Section:
     """Return the section about a run.
 
-    Args:
-        number: number of the run in the page, counted from 1.
-        run: the run.
-        limit: greatest number of replays.
-
     Raises:
         InputError: if the run is damaged.
     """
@@ -169,12 +164,9 @@ def section(number: int, run: ReportedRun, limit: int) -> Section:
 def _looked_at(
     run: ReportedRun, wanted: Sequence[int], replayed: Collection[int]
 ) -> tuple[dict[int, Trace], dict[int, Record]]:
-    """Return traces, and the records of the replayed executions, by the numbers of the executions in order.
+    """Return traces, and the records of the replayed executions, by number, the most important first.
 
-    Args:
-        run: the run.
-        wanted: numbers of the wanted executions, the most important first. There is always room for the first.
-        replayed: numbers of those with replays.
+    There is always room for the first.
     """
     traces: dict[int, Trace] = {}
     records: dict[int, Record] = {}
@@ -317,10 +309,8 @@ _FIGURES: Final[dict[str, Callable[[ReportedRun], str]]] = {  # rows of the comp
 def page(runs: Sequence[ReportedRun], replays: int, paired: Paired = ((), ())) -> str:
     """Return the report on runs as a page in ASCII. Equal run folders give equal pages.
 
-    Args:
-        runs: runs, at least one.
-        replays: greatest number of replays of each run.
-        paired: headings and rows of a table on the same scenarios in both runs, see `behavexplor.repair.pairs`.
+    `replays` is the greatest number of replays of each run; `paired` has headings and rows of a table on the same
+    scenarios in both runs.
 
     Raises:
         InputError: if a run is damaged, or the number of replays is out of range.

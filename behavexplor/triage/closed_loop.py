@@ -38,8 +38,7 @@ Found = Literal["preventable", "standing_still_avoids_it", "unpreventable"] | No
 class ScriptedDriver:
     """A driver of B egos that takes actions from a table.
 
-    Args:
-        actions: actions by ego and decision, shape (B, D). After the last one, it is taken again and again.
+    The table has the shape (B, D). After the last action, it is taken again and again.
     """
 
     vectorized: bool = True

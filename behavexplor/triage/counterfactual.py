@@ -43,11 +43,6 @@ class ForkedPlanner:
 
     Up to its fork, an ego gets the recorded commands. Meanwhile, the recorded planner runs as well, so that the planner
     that takes over has the right memory. Row i of the batch is fork i.
-
-    Args:
-        planner: the planner of the recorded execution.
-        actions: the recorded commands, shape (D, 2).
-        forks: one fork for each ego.
     """
 
     def __init__(self, planner: RulePlanner, actions: Floats, forks: Sequence[Fork]) -> None:
@@ -87,17 +82,9 @@ class ForkedPlanner:
 def run_forks(
     simulation: Simulation, scenario: Scenario, trace: Trace, forks: Sequence[Fork], seconds: float | None = None
 ) -> list[Trace]:
-    """Continue a recorded execution along several forks.
+    """Continue a recorded execution of the rule planner along several forks, and return the trace of each.
 
-    Args:
-        simulation: simulation with the rule planner of the recorded execution.
-        scenario: the executed scenario.
-        trace: its trace.
-        forks: forks to drive.
-        seconds: duration of the replays [s]; None for whole executions. A replay may be longer.
-
-    Returns:
-        The trace of each fork.
+    The replays last `seconds`, or longer; None stands for whole executions.
 
     Raises:
         TypeError: if the ADS is not the rule planner.
@@ -140,12 +127,9 @@ class Cause:
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:
-    """Return the cause of the first violated spec, in the order R1, R2, R3.
+    """Return the cause of the first violated spec, in the order R1, R2, R3; None if there is none.
 
     The simulation must have the ADS and the environment of the recorded execution, and the trace its decision log.
-
-    Returns:
-        The cause, or None if no spec is violated or the ADS is not the rule planner.
     """
     planner = simulation.ads
     event = violation_event(trace, judge(trace).violated)

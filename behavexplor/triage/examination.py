@@ -52,12 +52,7 @@ def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequ
 
 
 class FailureEvaluator(Evaluator):
-    """An evaluator that works on one failure at a time.
-
-    Args:
-        specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
-        target: the fields of a `behavexplor.data.target.Target`.
-    """
+    """An evaluator that works on one failure at a time."""
 
     def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
         super().__init__(**target)
@@ -88,11 +83,7 @@ class Examiner(FailureEvaluator):
         self.functions = {**self.functions, EXAMINE: self.examine}
 
     def examine(self, request: bytes) -> bytes:
-        """Examine a failure.
-
-        Returns:
-            The finding, and the witness if there is one, as JSON.
-        """
+        """Examine a failure; return the finding, and the witness if there is one, as JSON."""
         head, record, trace = request.split(b"\n", 2)
         found = Record.from_json(record), Trace.from_bytes(trace)
         finding, witness = examined(self.simulation, *found, seed=int(head), specs=load_specs(self.specs))

@@ -74,12 +74,7 @@ def recorded_signature(record: Record, trace: Trace, specs: Sequence[Spec]) -> S
 
 
 class ManyScenarios:
-    """Executes scenarios of one driver, in lock-step where that is possible.
-
-    Args:
-        simulation: simulation with the driver.
-        episodes: its episodes in lock-step; None if it has none.
-    """
+    """Executes scenarios of one driver, in lock-step where that is possible."""
 
     def __init__(self, simulation: Simulation, episodes: LockStep | None) -> None:
         self.simulation = simulation
@@ -174,11 +169,7 @@ class Minimizer(FailureEvaluator):
         self._episodes = self.simulation.lock_step(LOCK_STEP)
 
     def minimize(self, request: bytes) -> bytes:
-        """Minimize a failure.
-
-        Returns:
-            The minimized failure as a line of JSON, and the trace of its scenario.
-        """
+        """Minimize a failure; return it as a line of JSON, and the trace of its scenario."""
         head, data = request.split(b"\n", 1)
         values = json.loads(head)
         record, seed = Record.from_json(json.dumps(values["record"])), values["seed"]
@@ -197,18 +188,9 @@ def minimization(record: Record, trace: bytes, seed: int, known: Finding | None)
 def minimized(
     driven: ManyScenarios, specs: Sequence[Spec], record: Record, trace: Trace, known: Finding | None, seed: int
 ) -> tuple[Minimized, Trace]:
-    """Minimize a failure. Its class stays the same, and its fault and cause as far as they are known.
+    """Minimize a failure, and return it with the trace of its scenario.
 
-    Args:
-        driven: what drives many scenarios at a time.
-        specs: requirements that judge each execution.
-        record: record of the failure.
-        trace: its trace.
-        known: what triage has found about it; None if it has not been examined.
-        seed: seed of the campaign.
-
-    Returns:
-        The minimized failure and the trace of its scenario.
+    Its class stays the same, and its fault and cause as far as they are known.
     """
     logical, scenario = driven.simulation.logical, record.load_scenario()
     parts, removable = logical.parts(scenario), logical.removable
@@ -253,12 +235,7 @@ def left_as_found(
 
 
 def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = False) -> list[int]:
-    """Return the failures to minimize, in order.
-
-    Args:
-        store: the executions of the run.
-        numbers: numbers of failed executions; if there are none, the first failure of each class is chosen.
-        every: whether all failures are chosen instead.
+    """Return the failures to minimize, in order: those of the numbers, the first of each class, or all.
 
     Raises:
         InputError: if an execution has no failure.

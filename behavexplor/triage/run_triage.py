@@ -147,10 +147,6 @@ class Agreement:
 def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
     """Compare given labels with true labels.
 
-    Args:
-        true: true labels.
-        given: given labels of the same items, in the same order.
-
     Raises:
         InputError: if there are no labels, or the sequences differ in length.
     """
@@ -167,14 +163,9 @@ def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
 
 
 def weakness_records(traces: Iterable[tuple[int, Trace]], findings: Sequence[Finding]) -> dict[str, WeaknessRecord]:
-    """Count the executions that reached or triggered each weakness, and the failures that it caused.
+    """Count, by weakness, the executions that reached or triggered it, and the failures that it caused.
 
-    Args:
-        traces: traces of all executions of the rule planner with their numbers, in order.
-        findings: findings of its failures, in order.
-
-    Returns:
-        The record of each weakness by name.
+    Traces and findings are in order.
     """
     bits = ("reached", "triggered")
     seen: dict[str, dict[str, list[int]]] = {name: {bit: [] for bit in bits} for name in WEAKNESS_NAMES}

@@ -43,11 +43,8 @@ class Shrunk(NamedTuple):
 def shrink(parts: Parts, held: Property, *, removable: bool, limit: int) -> Shrunk:
     """Minimize a scenario.
 
-    Args:
-        parts: the parts of a scenario with the property.
-        held: the property.
-        removable: whether a scenario is valid without some of its parts.
-        limit: number of executions after which no further candidates are executed.
+    `removable` says whether a scenario is valid without some of its parts. After `limit` executions, no further
+    candidates are executed.
     """
     asked = _Asked(parts, held, limit)
     before = None

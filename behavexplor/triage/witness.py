@@ -95,11 +95,7 @@ def as_actions(commands: Floats) -> Floats:
 
 
 class Playback:
-    """An ADS that gives recorded commands, one at each step, and then repeats the last one.
-
-    Args:
-        commands: accelerations [m/s2] and steering angles [rad], shape (T, 2).
-    """
+    """An ADS that gives recorded commands, shape (T, 2), one at each step, and then repeats the last one."""
 
     def __init__(self, commands: Floats) -> None:
         self._actions = as_actions(commands)
@@ -141,11 +137,7 @@ class EvasionDriver:
 
     Row i of the batch is evasion i.
 
-    Args:
-        trace: trace of the recorded execution.
-        evasions: one evasion for each ego.
-        path: path of all egos, which begins with the recorded path, as points `SPACING` apart, shape (P, 2) [m].
-        speed_limit: limit up to which the egos accelerate [m/s].
+    Its path begins with the recorded path, as points `SPACING` apart, shape (P, 2) [m].
     """
 
     def __init__(self, trace: Trace, evasions: Sequence[Evasion], path: Floats, speed_limit: float) -> None:
@@ -252,16 +244,8 @@ def find_witness(
 ) -> tuple[Witness | None, int]:
     """Search for a witness: first by models of drivers, the mildest first, then by random evasions.
 
-    Args:
-        simulation: simulation with the environment of the collision; its ADS is not used.
-        scenario: the executed scenario.
-        trace: trace of its execution.
-        event: violation event of the collision.
-        rng: generator for the random evasions.
-
-    Returns:
-        The witness, or None if no evasion avoids the collision; and the number of evasions that were tried, 0 if the
-        environment cannot run in lock-step.
+    Return the witness, or None if no evasion avoids the collision; and the number of evasions that were tried, 0 if the
+    environment cannot run in lock-step. The ADS of the simulation is not used.
     """
     tried = 0
     for batch in range(1 + SAMPLES // BATCH):
@@ -307,8 +291,7 @@ def drive(
 ) -> list[Trace]:
     """Drive evasions along a path, up to `SURVIVED` after the recorded end.
 
-    Returns:
-        The trace of each evasion; none if the environment cannot run in lock-step.
+    Return the trace of each evasion; none if the environment cannot run in lock-step.
     """
     rate = frequency(trace)
     envs = simulation.vector_env(len(evasions), **_config(rate, trace.duration + SURVIVED))

@@ -47,15 +47,7 @@ def begin(course: Course, scene: Floats, memory: Floats) -> None:
 
 @kernel_inner
 def track(course: Course, scene: Floats, wanted: float, choice: int, memory: Floats) -> tuple[float, float]:
-    """Return acceleration [m/s2] and steering angle [rad] for a decision.
-
-    Args:
-        course: route table, see `behavexplor.ads.learned.route_table`.
-        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
-        wanted: wanted acceleration [m/s2].
-        choice: lane choice.
-        memory: memory of the ego, shape (N_MEMORIES,), changed in place.
-    """
+    """Return acceleration [m/s2] and steering angle [rad] for a decision; `memory` is changed in place."""
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     row = row_at(course.path, station)
     _choose_lane(course, row, offset, choice, memory)

@@ -185,13 +185,9 @@ class LearnedDriver:
     def _drive(
         self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, shares: Floats | None
     ) -> tuple[Floats, Floats]:
-        """Return the actions, shape (B, 2), and the memory. The action of an absent ego is 0.
+        """Return the actions, shape (B, 2), and the memory; `shares` in [0, 1), shape (B,), draw actions.
 
-        Args:
-            observation: see `predict`.
-            state: see `predict`.
-            episode_start: see `predict`.
-            shares: numbers in [0, 1) by which the actions are drawn, shape (B,); None for the network's own rule.
+        Without shares, the network's own rule decides. The action of an absent ego is 0.
         """
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), choosing.N_MEMORIES))
@@ -204,11 +200,7 @@ class LearnedDriver:
 
 
 class CourseKernels:
-    """What policies see of a batch of scenes, and the commands for their decisions, computed by machine code.
-
-    Args:
-        course: route table, see `behavexplor.ads.learned.route_table`.
-    """
+    """What policies see of a batch of scenes, and the commands for their decisions, computed by machine code."""
 
     def __init__(self, course: Course) -> None:
         self._course = course
@@ -224,10 +216,7 @@ class CourseKernels:
     def see(self, scenes: Floats, memory: Floats) -> Floats:
         """Compute the features that policies see, shape (B, N_FEATURES).
 
-        Args:
-            scenes: scenes, contiguous, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            memory: memory of each ego, contiguous, shape (B, 3). A row of zeros begins an episode; it is changed in
-                place.
+        Scenes and memory are contiguous. A row of zeros in the memory begins an episode; it is changed in place.
         """
         seen = np.zeros((len(scenes), N_FEATURES))
         self._see_all(self._course, scenes, memory, seen)
@@ -236,10 +225,7 @@ class CourseKernels:
     def track(self, scenes: Floats, decisions: choosing.Decisions, memory: Floats) -> Floats:
         """Compute the commands for policies' decisions, shape (B, 2), each in [-1, 1] over its range.
 
-        Args:
-            scenes: scenes, contiguous, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            decisions: decisions of the policies.
-            memory: memory of each ego, contiguous, shape (B, 3), changed in place.
+        Scenes and memory are contiguous; the memory is changed in place.
         """
         actions = np.zeros((len(scenes), 2))
         self._track_all(self._course, scenes, decisions, memory, actions)

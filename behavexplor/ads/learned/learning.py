@@ -18,13 +18,7 @@ from behavexplor.data.roadmap import RoadMap
 class LearningVecEnv(VecEnvWrapper):
     """A vector environment with features as observations, shape (N_FEATURES,), and N_ACTIONS discrete actions.
 
-    Args:
-        venv: vector environment that observes `Scene` and takes the commands of `behavexplor.ads.learned.driver`, at
-            the policy frequency of that driver.
-        roadmap: road map of the environment.
-
-    Attributes:
-        roadmap: the road map.
+    The one inside observes `Scene` and takes the commands of `behavexplor.ads.learned.driver`, at its policy frequency.
     """
 
     def __init__(self, venv: VecEnv, roadmap: RoadMap) -> None:

@@ -151,11 +151,7 @@ def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -
 def _add_conflict(
     course: Course, scene: Floats, station: float, other: int, there: float, zone: int, out: Floats, count: int
 ) -> int:
-    """Insert one stay among those found so far, unless it lies behind the ego or too far in the future.
-
-    Returns:
-        The number of stays found so far.
-    """
+    """Insert one stay among those found, unless it is behind the ego or far in the future; return their number."""
     speed, half = scene[other, SPEED], scene[other, LENGTH] / 2
     enters, leaves = course.zones[zone, IN] - there, course.zones[zone, OUT] - there
     if math.isinf(enters) or leaves < 0.0 or course.zones[zone, END] < station - scene[EGO, LENGTH] / 2:

@@ -39,13 +39,7 @@ class Path(NamedTuple):
 def ego_path(
     roadmap: RoadMap, lateral_acceleration: float = LATERAL_ACCELERATION, approach_braking: float = APPROACH_BRAKING
 ) -> Path:
-    """Make the ego's path from its route and the lanes beside it.
-
-    Args:
-        roadmap: road map with the ego's route.
-        lateral_acceleration: greatest lateral acceleration, which limits the speed in curves [m/s2].
-        approach_braking: greatest deceleration before curves, which limits the speed there [m/s2].
-    """
+    """Make the ego's path, whose limits of speed keep lateral acceleration and braking before curves [m/s2]."""
     route = roadmap.ego_route
     inside = [i for i, lane in enumerate(route.lanes) if lane.junction]
     lanes = _joined(route.lanes)

@@ -32,13 +32,9 @@ class Box(NamedTuple):
 
 @kernel_inner
 def box_on_path(path: Path, profile: LateralProfile, box: Box, strip: float) -> tuple[float, float]:
-    """Return the stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
+    """Return the stations between which a box reaches into the strip along the path; (inf, -inf) if never.
 
-    Args:
-        path: path of the ego.
-        profile: offset of the planned path from the route.
-        box: box of a vehicle.
-        strip: half the width of the strip [m].
+    The profile is the path's offset from the route, and `strip` is half the width of the strip [m].
     """
     x, y, cos, sin, length, width = box
     lane, station, aside = locate_on_path(path, x, y)
@@ -83,15 +79,9 @@ def _on_path(path: Path, profile: LateralProfile, x: float, y: float, straight: 
 
 
 def beside_route(path: Path, lanes: Floats, near: Bools) -> Floats:
-    """Compute where each meter of each lane is on the ego's route.
+    """Compute where each meter of each lane is on the ego's route: the columns above, shape (lanes, meters, 3).
 
-    Args:
-        path: path of the ego.
-        lanes: lanes, the last of which can be anywhere, see `behavexplor.ads.road.lane_arrays`.
-        near: False for each lane on which no vehicle can be in the ego's way, shape (lanes,).
-
-    Returns:
-        The columns above, shape (lanes, meters, 3). Offsets are infinite on lanes that are not near.
+    The last lane can be anywhere. Lanes that are not `near` cannot be in the ego's way; offsets are infinite there.
     """
     table = np.empty((len(lanes), int(lanes[:, LENGTH].max()) + BEYOND, 3))
     _fill(path, lanes, table)
@@ -126,15 +116,7 @@ def _offset(path: Path, lanes: Floats, lane: int, station: float) -> tuple[float
 
 @kernel_inner
 def is_beside(place: Floats, profile: LateralProfile, length: float, width: float, strip: float) -> bool:
-    """Return whether a vehicle on a lane is surely beside the strip along the path.
-
-    Args:
-        place: where its center is, shape (3,), see `beside_route`.
-        profile: offset of the planned path from the route.
-        length: length of the vehicle [m].
-        width: width of the vehicle [m].
-        strip: half the width of the strip [m].
-    """
+    """Return whether a vehicle at a place of `beside_route`, shape (3,), is surely beside the strip along the path."""
     reach = strip + (length * place[SKEW] + width) / 2 + (SLACK if profile.length > 0.0 else 0.0)
     away = max(place[LEAST] - max(profile.first, profile.last), min(profile.first, profile.last) - place[GREATEST])
     return bool(away > reach and (length + width) / 2 < AROUND)

@@ -32,15 +32,7 @@ RESPONSE: Final = 0.3  # time in which the free speed is reached [s]
 
 @kernel_inner
 def plan_speed(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
-    """Plan the speed along the path: drive freely if possible, else search for the best motion, else escape.
-
-    Args:
-        situation: situation of the ego.
-        station: station of the ego [m].
-        speed: speed of the ego [m/s].
-        acceleration: last commanded acceleration [m/s2].
-        nodes: working space for the search.
-    """
+    """Plan the speed along the path: drive freely if possible, else search for the best motion, else escape."""
     plan = _drive_freely(situation, station, speed)
     if plan.survived == N_INTERVALS and plan.risk == 0.0 and plan.inside == 0.0:
         return plan

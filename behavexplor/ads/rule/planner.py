@@ -234,15 +234,6 @@ class RulePlanner:
     ) -> tuple[Floats, Floats]:
         """Decide for a batch of egos.
 
-        Args:
-            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: state returned by the last call, shape (B, 29); None at first.
-            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-            deterministic: ignored; the planner is always deterministic.
-
-        Returns:
-            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
-
         Raises:
             InputError: if an array has the wrong shape.
         """

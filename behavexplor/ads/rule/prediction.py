@@ -75,15 +75,8 @@ def find_tails(
 ) -> tuple[int, int]:
     """Find every way on of a vehicle: all branches at a junction, straight on for a vehicle that is on no lane.
 
-    Args:
-        graph: lanes of the map; the spare lane is overwritten.
-        x: position of the vehicle's center [m].
-        y: position of the vehicle's center [m].
-        heading: heading of the vehicle [rad].
-        speed: speed of the vehicle [m/s].
-        p: parameters of the planner.
-        tails: filled with indices of tails, shape (most,).
-        stations: filled with the vehicle's stations along the tails [m], shape (most,).
+    The spare lane of the graph is overwritten. `tails` and the vehicle's `stations` along them [m] are filled, shape
+    (most,).
 
     Returns:
         The number of ways found, at least 1, and the number of overlooked ones among them (weakness R1-8). The

@@ -183,8 +183,7 @@ def _compare(situation: Situation, station: float, bound: float, n: int, nodes: 
 def _keep_cheapest(now: Floats, following: Floats, n: int, is_first: bool, nodes: Nodes) -> tuple[int, bool]:
     """Keep the cheapest motion in each bin as a node of the next stage.
 
-    Returns:
-        The number of nodes, and whether motions from several nodes had equal costs, so that their order decided.
+    Return the number of nodes, and whether motions from several nodes had equal costs, so that their order decided.
     """
     motions, bins, cheapest, found, tied = nodes.motions, nodes.bins, nodes.cheapest, 0, False
     cheapest[:] = -1

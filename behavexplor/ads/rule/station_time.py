@@ -90,10 +90,6 @@ def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
     """Return the bearing of a vehicle's center from the ego's center [rad], and the range of its corners' bearings.
 
     The range is the least and the greatest bearing of a corner relative to that of the center [rad].
-
-    Args:
-        scene: scene, see `behavexplor.data.scene`.
-        row: row of the vehicle.
     """
     dx, dy = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]
     bearing = math.atan2(dy, dx)
@@ -155,13 +151,7 @@ def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> i
 
 @kernel_inner
 def false_motion(true: Motion, weak: int, p: Numbers) -> Motion:
-    """Return an NPC's motion as a planner with weaknesses predicts it.
-
-    Args:
-        true: motion as a careful planner predicts it.
-        weak: bits of the weaknesses whose gates the NPC opens.
-        p: parameters of the planner.
-    """
+    """Return an NPC's motion as a planner with weaknesses predicts it; `weak` has the bits of those with open gates."""
     if weak == 0:
         return true
     speed, acceleration, memory = true.speed, true.acceleration, true.memory
@@ -227,15 +217,8 @@ def project_obstacles(
 ) -> None:
     """Fill the station-time graph with every NPC's predicted motion along every way it has.
 
-    Args:
-        path: path of the ego.
-        profile: offset of the planned path from the route.
-        graph: lanes of the map.
-        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
-        station: station of the ego [m].
-        blind: distance ahead of the ego below which the centers of vehicles in the target lane are ignored [m].
-        p: parameters of the planner.
-        room: station-time graph to fill; its bits are added to.
+    `blind` is the distance ahead of the ego below which the centers of vehicles in the target lane are ignored [m]. The
+    room's bits are added to.
     """
     room.counts[:] = 0
     room.reaches[:, 0], room.reaches[:, 1] = math.inf, -math.inf
@@ -277,10 +260,9 @@ def _steps(motion: Motion, p: Numbers) -> int:
 
 @kernel_inner
 def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
-    """Add one NPC's motion along one way, if it is seen. An NPC that follows the ego on its path is left out.
+    """Add one NPC's motion along one way, if it is seen, and return whether it meets the ego's path.
 
-    Returns:
-        True if the motion meets the ego's path.
+    An NPC that follows the ego on its path is left out.
     """
     p, room = view.p, view.room
     occupied, spans = room.occupied, room.spans
@@ -346,14 +328,8 @@ def _occupy_lane(
 ) -> tuple[int, int, int]:
     """Compute the stretches that an NPC's box occupies at its steps on one lane of its way.
 
-    Args:
-        view: input of the projection.
-        lane: the lane.
-        start: station at step 0, relative to the start of the lane [m].
-        step: first step on the lane.
-        steps: number of steps.
-        is_last: True if the way goes straight on beyond the end of the lane.
-        motion: motion of the NPC.
+    `start` is the station at step 0, relative to the start of the lane [m], and `step` the first step on the lane. With
+    `is_last`, the way goes straight on beyond the end of the lane.
 
     Returns:
         The first and the last step at which the box is on the path, -1 for none, and the first step beyond the lane.

@@ -132,10 +132,7 @@ def _settings(file: ZipFile) -> dict[str, Any]:
 
 
 def _read_settings(path: Path, data: Mapping[str, Any], reader: PickleReader) -> tuple[dict[str, Any], list[str]]:
-    """Read all pickles among a model's settings.
-
-    Returns:
-        The entries of `SETTINGS`, and the suspicions about all settings.
+    """Return the entries of `SETTINGS` among a model's settings, and the suspicions about all pickles in them.
 
     Raises:
         InputError: if an entry of `SETTINGS` cannot be read, or is too large to be walked through.

@@ -103,13 +103,7 @@ class _Step(NamedTuple):
 
 
 class DenseActor:
-    """The layers of a policy that lead to its actions.
-
-    Args:
-        layers: the layers, in their order. Those with weights are of the class `RowLinear`.
-        choice: choice of the actions.
-        policy: the policy, for its observation and action spaces.
-    """
+    """The layers of a policy that lead to its actions."""
 
     def __init__(self, layers: Sequence[torch.nn.Module], choice: Choice, policy: BasePolicy) -> None:
         self._recipe = layers, choice, policy
@@ -125,14 +119,10 @@ class DenseActor:
         self._operations: dict[int, list[Operation]] = {}  # by number of rows
 
     def decide(self, observation: NDArray[Any]) -> NDArray[Any] | None:
-        """Choose the most probable actions.
+        """Return the most probable actions, shape (B, ...), for observations of shape (B, ...).
 
-        Args:
-            observation: observations, shape (B, ...).
-
-        Returns:
-            The actions, shape (B, ...). None if the observations have a wrong shape, or an output is not finite: then
-            `predict` answers or fails in its own way.
+        None if the observations have a wrong shape, or an output is not finite: then `predict` answers or fails in its
+        own way.
         """
         if observation.shape[1:] != self._shape:
             return None
@@ -254,12 +244,7 @@ def noise_of(network: BasePolicy) -> int:
 
 
 def drawn_by(network: BasePolicy, noise: NDArray[np.float64]) -> Callable[..., Any]:
-    """Return a replacement for `network._predict` that draws its actions.
-
-    Args:
-        network: the policy network.
-        noise: numbers in [0, 1), shape (B, `noise_of(network)`).
-    """
+    """Return a replacement for `network._predict` that draws by numbers in [0, 1), shape (B, `noise_of(network)`)."""
     shares = torch.as_tensor(noise, dtype=torch.float32)
     policy: Any = network
     if _is_squashed(policy):
@@ -317,8 +302,7 @@ def _numbers(space: gymnasium.Space[Any]) -> int:
 class BlockwiseNetwork:
     """A policy network that is not trained any further, evaluated block by block.
 
-    Args:
-        network: policy network of Stable-Baselines3. Its linear layers multiply each row separately from now on.
+    Its linear layers multiply each row separately from now on.
     """
 
     def __init__(self, network: BasePolicy) -> None:
@@ -339,17 +323,9 @@ class BlockwiseNetwork:
         episode_start: NDArray[np.bool_] | None,
         noise: NDArray[np.float64] | None = None,
     ) -> tuple[NDArray[Any], Memory | None]:
-        """Return the network's actions.
+        """Return the network's actions, shape (B, ...), and its memory, arrays (layers, B, ...), None if it has none.
 
-        Args:
-            observation: observations, arrays of shape (B, ...).
-            memory: memory returned by the last call, arrays of shape (layers, B, ...); None at first.
-            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-            noise: numbers in [0, 1) by which actions are drawn, shape (B, n), see
-                `behavexplor.ads.sb3.blocks`; None for the most probable actions.
-
-        Returns:
-            The actions, shape (B, ...), and the memory. The memory is None if the network has none.
+        With `noise`, numbers in [0, 1) of shape (B, n), actions are drawn; without, they are the most probable ones.
         """
         with _LOCK, _one_thread():
             if self._actor is not None and noise is None and isinstance(observation, np.ndarray):

@@ -62,10 +62,6 @@ def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
 
     DQN and QR-DQN explore as at the end of their training; the file has no replay buffer.
 
-    Args:
-        archive: the file of a PPO, A2C, TRPO, DQN or QR-DQN model with a feed-forward network.
-        venv: environment in which the model goes on learning.
-
     Raises:
         InputError: if the model cannot go on learning, or does not fit the environment.
     """

@@ -97,11 +97,7 @@ def find_model(path: Path) -> Path:
 
 
 def files_of_model(ads: str) -> list[Path]:
-    """Return the file of a model and the files beside it that tell how it drives; none for a driver of another kind.
-
-    Args:
-        ads: name of a driving system.
-    """
+    """Return the file of a model and the files beside it that tell how it drives; none for a driver of another kind."""
     if ads.endswith(".npz") or not is_policy(ads):
         return []
     try:
@@ -117,10 +113,6 @@ def files_of_model(ads: str) -> list[Path]:
 def named_env(env: str | None, ads: str) -> str | None:
     """Return the environment that was named, or else that in which a policy was trained, if it brings no code.
 
-    Args:
-        env: name of an environment; None if none was given.
-        ads: name of a driving system, of any kind.
-
     Raises:
         InputError: if the files beside the policy name an environment of another package.
     """
@@ -133,11 +125,7 @@ def named_env(env: str | None, ads: str) -> str | None:
 
 
 def trained_in(ads: str) -> str | None:
-    """Return the environment in which a policy was trained, if the files beside its model or network name it.
-
-    Args:
-        ads: name of a driving system, of any kind.
-    """
+    """Return the environment in which a policy was trained, if the files beside its model or network name it."""
     try:
         if ads.startswith("learned:") or ads.endswith(".npz"):
             return env_in_card(policy_file(ads))

@@ -91,9 +91,7 @@ class PickleReader:
     def _followed(self, data: bytes | BinaryIO, *, is_framed: bool = True) -> tuple[Any, "_Machine"]:
         """Return the value of the next pickle, and the machine that has made it.
 
-        Args:
-            data: the pickle, or a file that continues with it.
-            is_framed: whether it may have frames. The end of a frame could hide where the next pickle of a file begins.
+        `is_framed` says whether it may have frames, whose ends could hide where the next pickle of a file begins.
         """
         machine = _Machine()
         try:

@@ -31,14 +31,8 @@ class Parts:
 class LayeredPolicy(BasePolicy):
     """A policy of plain layers.
 
-    Args:
-        observation_space: arrays of numbers.
-        action_space: `Discrete`, for the action of the greatest output; or `Box`, for the outputs themselves.
-        parts: its layers.
-        squash: whether the actions of a `Box` are the hyperbolic tangents of the outputs, scaled to its bounds.
-
-    Attributes:
-        action_dist: distribution of the actions; None if they cannot be drawn.
+    The action of a `Discrete` space is that of the greatest output; a `Box` gets the outputs themselves or, with
+    `squash`, their hyperbolic tangents, scaled to its bounds. `action_dist` is None if actions cannot be drawn.
     """
 
     def __init__(

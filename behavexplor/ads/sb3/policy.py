@@ -81,11 +81,7 @@ class SB3Policy:
             _check_statistics(str(description.statistics or "VecNormalize"), statistics, self.observation_space)
 
     def seeing(self, space: gymnasium.Space[Any], _: gymnasium.Space[Any]) -> Self:
-        """Return this policy with a view of an environment's observations, if it needs one and there is one.
-
-        Args:
-            space: space of the environment's observations.
-        """
+        """Return this policy with a view of an environment's observations, if it needs one and there is one."""
         view = view_of(self.observation_space, space, stacks=self._frames == 1)
         if view is None:
             return self
@@ -245,11 +241,7 @@ def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
 
 
 def _axis(space: gymnasium.Space[Any]) -> int:
-    """Return the axis along which `VecFrameStack` stacks: that of an image's channels if it is the first, or the last.
-
-    Args:
-        space: space of a frame, or of stacked frames.
-    """
+    """Return the axis along which `VecFrameStack` stacks: an image's channels if they come first, or the last."""
     shape = space.shape or ()
     return 0 if is_image_space(space) and np.argmin(shape) == 0 else len(shape) - 1
 
@@ -257,15 +249,7 @@ def _axis(space: gymnasium.Space[Any]) -> int:
 def _stacked(
     newest: Any, before: Any, episode_start: NDArray[np.bool_] | None, stack: Stacking, space: gymnasium.Space[Any]
 ) -> Any:
-    """Stack the last frames, with the newest at the end.
-
-    Args:
-        newest: the newest frame of each row.
-        before: the frames stacked so far; None at first.
-        episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-        stack: how they are stacked.
-        space: space of a frame.
-    """
+    """Stack the last frames, with the newest at the end."""
     if isinstance(space, gymnasium.spaces.Dict):
         past = before or dict.fromkeys(space)
         return {key: _stacked(newest[key], past[key], episode_start, stack, part) for key, part in space.items()}

@@ -34,16 +34,7 @@ class PolicyView:
 
 
 def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks: bool = True) -> PolicyView | None:
-    """Return the view that makes the observations of an environment those of a policy.
-
-    Args:
-        wanted: space of one observation of the policy.
-        given: space of one observation of the environment.
-        stacks: whether observations may be stacked.
-
-    Returns:
-        The view; None if there is none, or none is needed.
-    """
+    """Return the view that makes an environment's observations those of a policy; None if none is there or needed."""
     parts = list(given.items()) if isinstance(given, gymnasium.spaces.Dict) else [("", given)]
     if not all(isinstance(one, gymnasium.spaces.Box) for one in (wanted, *(part for _, part in parts))):
         return None

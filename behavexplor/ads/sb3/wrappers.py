@@ -36,11 +36,7 @@ class _Spaces(gymnasium.Env[Any, Any]):
 
 
 class PolicyInWrappers:
-    """A policy that was trained in wrappers of the user's own; `seeing` returns what drives in an environment.
-
-    Args:
-        policy: the policy, with a method `seeing`.
-        wrappers: the names of the wrappers, their classes and their arguments, the innermost first.
+    """A policy trained in wrappers of the user's own, the innermost first; `seeing` returns what drives.
 
     What the policy declares of observations, actions and frequencies is declared here, too.
     """
@@ -78,11 +74,6 @@ class PolicyInWrappers:
 
 class WrappedPolicy:
     """A policy that drives one episode at a time through wrappers of observations and actions.
-
-    Args:
-        policy: the policy.
-        chain: the stand-in of the environment and the wrappers around it, the innermost first.
-        names: names of the wrappers.
 
     Attributes:
         noise: see `behavexplor.ads.interface.StochasticADS`.

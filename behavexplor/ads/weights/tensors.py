@@ -157,12 +157,7 @@ _PARAMETER: Final = "torch._utils._rebuild_parameter"
 
 
 class _Storages:
-    """The numbers of a file of torch, read when a tensor needs them.
-
-    Args:
-        file: the file.
-        root: name of the folder in it.
-    """
+    """The numbers of a file of torch, read when a tensor needs them."""
 
     def __init__(self, file: ZipFile, root: str) -> None:
         self._file, self._root = file, root

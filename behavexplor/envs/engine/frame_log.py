@@ -49,14 +49,7 @@ def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
 
 @kernel_inner
 def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> None:
-    """Log the present state.
-
-    Args:
-        network: the road network.
-        scene: the episode.
-        frame: changed in place.
-        things: changed in place, shape (N,).
-    """
+    """Log the present state."""
     episode, ego = scene.episode, scene.vehicles[scene.episode.ego]
     frame.n_things = episode.n_vehicles + episode.n_obstacles
     frame.ego, frame.is_on_road = episode.ego, is_on_road(network, ego)

@@ -131,19 +131,13 @@ class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
         """Simulate a decision in each slot whose episode has not ended, and observe it.
 
-        Returns:
-            Arrays that the caller may change, each of shape (num_envs,): the rewards, whether the episodes have been
-            terminated and truncated, also earlier on, and whether they have taken a decision.
+        Return arrays that the caller may change, each of shape (num_envs,): the rewards, whether the episodes have been
+        terminated and truncated, also earlier on, and whether they have taken a decision.
         """
 
     @abstractmethod
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
-        """Return infos in gymnasium's format: arrays, each with a mask that says for whom it is.
-
-        Args:
-            stepped: slots that have taken a decision, shape (num_envs,). The array becomes part of the infos.
-            begun: slots that have begun an episode, shape (num_envs,). The array becomes part of the infos.
-        """
+        """Return infos in gymnasium's format: arrays, each with a mask, shape (num_envs,), that says for whom it is."""
 
 
 def chosen_mode(name: AutoresetMode | str) -> AutoresetMode:

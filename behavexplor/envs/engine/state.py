@@ -19,11 +19,7 @@ RecordType: TypeAlias = np.dtype[np.record]
 
 
 def record_type(**fields: type) -> RecordType:
-    """Create the type of a record.
-
-    Args:
-        fields: type of each field, in their order in memory.
-    """
+    """Create the type of a record."""
     return cast("RecordType", np.dtype((np.record, np.dtype(list(fields.items()), align=True))))
 
 
@@ -144,13 +140,7 @@ N_PREDICTIONS: Final = 11
 
 
 def make_slots(n_slots: int, n_places: int, n_steps: int) -> Slots:
-    """Create slots without vehicles.
-
-    Args:
-        n_slots: number of slots.
-        n_places: greatest number of vehicles and obstacles of an episode.
-        n_steps: greatest number of steps of a route.
-    """
+    """Create slots without vehicles."""
     return Slots(
         episodes=np.zeros(n_slots, EPISODE),
         vehicles=np.zeros((n_slots, n_places), VEHICLE),

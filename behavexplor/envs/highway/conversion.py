@@ -35,12 +35,6 @@ _PRECISION = 1e-9  # numpy and the C library may differ in the last bit
 def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
     """Copy the present state of an environment into slot b.
 
-    Args:
-        env: a highway-env environment, without wrappers, with the road and the rules of `world`.
-        world: the road and rules.
-        slots: the slots, changed in place.
-        b: the slot.
-
     Raises:
         InputError: if the environment has vehicles that the engine does not know, or too many for the slot.
     """

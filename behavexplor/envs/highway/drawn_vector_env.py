@@ -91,12 +91,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         return order
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Begin episodes.
-
-        Args:
-            seed: has no effect, since the scenarios decide.
-            options: `scenarios`, one for each sub-environment, and `reset_mask`, shape (num_envs,), which selects the
-                sub-environments to reset.
+        """Begin episodes with the option `scenarios`, one for each slot; `reset_mask`, (num_envs,), selects slots.
 
         Raises:
             InputError: if a scenario is not one of this environment.
@@ -217,12 +212,7 @@ def _has_arrived(infos: dict[str, Any], b: int) -> bool | None:
 
 
 def start_order(env: DrawnEnv, scenarios: Iterable[DrawnScenario]) -> tuple[DrawPlace, ...] | None:
-    """Return the order of the draws with which episodes begin; None if it differs from episode to episode.
-
-    Args:
-        env: the environment; its episodes are used up.
-        scenarios: scenarios whose episodes are compared.
-    """
+    """Return the order of the draws with which episodes begin; None if it differs from episode to episode."""
     orders = set()
     for scenario in scenarios:
         env.begin_blindly(scenario)

@@ -105,13 +105,7 @@ def _lanes_across(lane: AbstractLane, following: AbstractLane) -> int:
 
 
 def places(table: LaneTable, lane: Ints, target: Ints) -> Ints:
-    """Return the place of a vehicle in each frame: its lane, or the one at which it aims if that is on another road.
-
-    Args:
-        table: the lanes.
-        lane: closest lane, shape (T,).
-        target: lane at which the vehicle aims, shape (T,); `NO_LANE` for none.
-    """
+    """Return the place of a vehicle in each frame: its lane, or the one at which it aims on another road."""
     return np.where((target != NO_LANE) & (table.road[target] != table.road[lane]), target, lane)
 
 
@@ -120,11 +114,6 @@ def lane_changes(table: LaneTable, lane: Ints, target: Ints) -> Ints:
 
     A change begins when the vehicle aims at another lane of the same road, and ends when that is the closest one. For a
     vehicle that aims at none, it is the moment at which another lane of the road is the closest.
-
-    Args:
-        table: the lanes.
-        lane: closest lane, shape (T,).
-        target: lane at which the vehicle aims, shape (T,); `NO_LANE` for none.
     """
     aim = np.where(target == NO_LANE, lane, target)
     changing = np.zeros(len(aim), dtype=np.int64)
@@ -138,16 +127,10 @@ def lane_changes(table: LaneTable, lane: Ints, target: Ints) -> Ints:
 
 
 def partner_places(table: LaneTable, place: Ints, partner: Ints, turned: Floats) -> tuple[Ints, Floats]:
-    """Return where the partner of a crash is, in each frame.
+    """Return where the partner of a crash is in each frame, and how many lanes to the right of the ego, each (T,).
 
-    Args:
-        table: the lanes.
-        place: the ego's place, shape (T,).
-        partner: the partner's place, shape (T,); `NO_LANE` for an obstacle.
-        turned: its heading relative to the ego's, shape (T,) [rad].
-
-    Returns:
-        `ELSEWHERE`, `ON_ITS_WAY` or `OBSTACLE`, and how many lanes it is to the right of the ego's lane, each (T,).
+    The former is `ELSEWHERE`, `ON_ITS_WAY` or `OBSTACLE`. The place of an obstacle is `NO_LANE`; `turned` is its
+    heading relative to the ego's [rad].
     """
     beside = table.beside[place, partner]
     angle = np.abs(np.remainder(turned + np.pi, 2 * np.pi) - np.pi)

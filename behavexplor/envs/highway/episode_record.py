@@ -62,16 +62,7 @@ class Frame(NamedTuple):
 
 
 class EpisodeRecord:
-    """The frames and decisions of an episode.
-
-    Args:
-        env: the environment, which has been reset.
-        route: lanes of the ego's route at the start; empty if the environment plans none.
-
-    Attributes:
-        frames: the frames.
-        sizes: length and width of each vehicle and obstacle by its number [m].
-    """
+    """The frames and decisions of an episode."""
 
     def __init__(self, env: AbstractEnv, route: Sequence[LaneIndex]) -> None:
         self._route = tuple(route)
@@ -95,12 +86,7 @@ class EpisodeRecord:
             self._arrivals.append((len(self.frames) - 1, arrived))
 
     def trace(self, network: RoadNetwork, *, terminated: bool) -> Trace:
-        """Return the trace of the episode. It ends with the frame in which the ego crashes, if it does.
-
-        Args:
-            network: the road network.
-            terminated: whether the environment terminated the episode, rather than that its time ran out.
-        """
+        """Return the trace of the episode, which ends with the frame in which the ego crashes, if it does."""
         things = [frame.things for frame in self.frames]
         ego = int(things[0]["number"][self.frames[0].ego])
         numbers = np.array([ego, *(number for number in self.sizes if number != ego)])
@@ -146,13 +132,7 @@ class EpisodeRecord:
         return trace.until(count, "collision") if crashed[:, 0].any() else trace
 
     def _signals(self, crashed: NDArray[np.bool_], driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
-        """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it.
-
-        Args:
-            crashed: whether the ego has crashed, in every frame.
-            driven: the ego's lane in every frame.
-            count: number of frames that the trace keeps.
-        """
+        """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it."""
         signals = {CRASHED: crashed.astype(np.float64)}
         if self._leaving_matters:
             signals[OFF_ROAD] = np.array([not frame.is_on_road for frame in self.frames], dtype=np.float64)
@@ -175,14 +155,7 @@ class EpisodeRecord:
 
 
 class Watch:
-    """Watches a highway-env environment, and records every frame of an episode.
-
-    Args:
-        env: the environment, which has just been reset.
-
-    Attributes:
-        record: the record of the episode.
-    """
+    """Watches a highway-env environment that has just been reset, and records every frame of an episode."""
 
     def __init__(self, env: AbstractEnv) -> None:
         self._things: dict[int, tuple[int, RoadObject]] = {}  # keeps the objects alive, since their identity is the key
@@ -215,14 +188,7 @@ class Watch:
 
 
 def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: int) -> dict[str, NDArray[Any]]:
-    """Return the signals that the lanes tell; see `behavexplor.envs.highway.driven_lanes`.
-
-    Args:
-        network: the road network.
-        lanes: the closest lane of each vehicle, and the one at which it aims, shape (2, T, N).
-        heading: headings, shape (T, N) [rad].
-        partner: the vehicle into which the ego crashes; -1 for none.
-    """
+    """Return the signals that the lanes tell; see `behavexplor.envs.highway.driven_lanes`."""
     table = lane_table(network)
     place = places(table, *lanes[:, :, 0])
     signals: dict[str, NDArray[Any]] = {CHANGING: lane_changes(table, *lanes[:, :, 0]), WAY: table.way[place]}

@@ -211,13 +211,6 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: NDArray[Any
     """Return the infos of highway-env's single environments as gymnasium's vector environments collect them.
 
     The infos consist of parts of the given arrays, in which what is not chosen becomes 0.
-
-    Args:
-        kind: the kind of task.
-        numbers: a copy of `StepResults.numbers`.
-        flags: a copy of `StepResults.flags`.
-        actions: a copy of the egos' actions, shape (B, ...).
-        chosen: which sub-environments have an info, shape (B,).
     """
     beside = None if all(chosen.tolist()) else ~chosen
     if beside is not None:

@@ -268,10 +268,7 @@ class CallPath:
     the fourth call of the function from the same caller. So a draw keeps its name when another vehicle is rejected and
     draws less than before.
 
-    Args:
-        root: source file of the caller of the environment. Calls above it, and calls from the places in `skipped`,
-            have no part in a name.
-        skipped: folders or source files whose calls have no part in a name.
+    Calls above the source file `root`, and from the folders or files in `skipped`, have no part in a name.
     """
 
     def __init__(self, root: str, skipped: tuple[str, ...]) -> None:

@@ -161,14 +161,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         draws: Mapping[int, Floats] = MappingProxyType({}),
         logs_start: bool = False,
     ) -> None:
-        """Begin episodes in the chosen slots, shape (num_envs,).
-
-        Args:
-            mask: the chosen slots, shape (num_envs,).
-            starts: the starts of some of them.
-            draws: the draws of some of them.
-            logs_start: whether the frame log shows the starts.
-        """
+        """Begin episodes in the chosen slots, shape (num_envs,)."""
         actions: NDArray[Any] = self._sampled_space.sample()
         own = mask.copy()
         seen: dict[int, NDArray[Any]] = {}
@@ -240,10 +233,6 @@ def vector_env(env_class: type[AbstractEnv], **arguments: Any) -> VectorEnv[Any,
 
     If the classes that run are not those that the compiled engine was ported from, because this program has replaced a
     method or highway-env is another release, highway-env itself runs, and a warning says so.
-
-    Args:
-        env_class: the environment.
-        arguments: see `HighwayVectorEnv`.
 
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.

@@ -109,14 +109,8 @@ def _spawn_vehicle(
 
     If draws are given, there are `N_DRAWS` for each call, also for one that needs less because no vehicle appears.
 
-    Args:
-        world: the road and the vehicles' classes.
-        task: the environment's starts.
-        scene: the episode, changed in place.
-        words: its random generator, changed in place.
-        station: station about which it appears [m].
-        probability: probability that it appears, unless there is no room.
-        is_challenger: whether it goes straight on, and starts at nearly the same place and speed every time.
+    It appears about a station [m], with a probability unless there is no room. A challenger goes straight on, and
+    starts at nearly the same place and speed every time.
     """
     first, given = words[NEXT_FORM], is_given(words)
     _spawn(world, task, scene, words, station, probability, is_challenger)

@@ -106,17 +106,9 @@ def fill_record(
 ) -> bool:
     """Fill in the motion of all vehicles, the ego first, in multiples of the resolution of traces.
 
-    Args:
-        ego: poses of the ego, shape (T,) of `POSE`.
-        motion: the NPCs' motion table, shape (T, n_npcs, 5).
-        directions: cosine and sine of the NPCs' headings, shape (2, T, n_npcs).
-        resolution: resolution of traces.
-        position: positions, shape (T, 1 + n_npcs, 2).
-        heading: headings, shape (T, 1 + n_npcs).
-        velocity: velocities, shape (T, 1 + n_npcs, 2).
-
-    Returns:
-        Whether the ego's motion is finite.
+    The motion table has the shape (T, n_npcs, 5), and `directions` the cosine and sine of the NPCs' headings, (2, T,
+    n_npcs). Position, heading and velocity are filled, each of 1 + n_npcs vehicles. Return whether the ego's motion is
+    finite.
     """
     is_finite = True
     for t in range(len(ego)):
@@ -142,15 +134,9 @@ def _rounded(value: float, step: float) -> float:
 
 
 def reward_terms(weights: Mapping[str, float], runs: Records, active: Bools) -> Floats:
-    """Compute the terms of the reward of the latest decision. They are 0 in inactive slots.
+    """Compute the terms of the reward of the latest decision, in the order of `TERMS`, shape (8, B).
 
-    Args:
-        weights: weight of each term, such as `WEIGHTS`.
-        runs: what has happened in each slot, shape (B,) of `behavexplor.envs.tasks.scripted_slots.RUN`.
-        active: whether each slot was stepped, shape (B,).
-
-    Returns:
-        The terms in the order of `TERMS`, shape (8, B). Their sum is the reward.
+    They are 0 in inactive slots. Their sum is the reward.
     """
     terms = np.zeros((len(TERMS), len(active)))
     _fill_terms(np.array([weights[name] for name in TERMS]), runs, active, terms)

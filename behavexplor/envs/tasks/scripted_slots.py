@@ -62,14 +62,7 @@ class ScriptedSlots(NamedTuple):
 def make_slots(
     n_slots: int, n_frames: int, shape_of_actions: tuple[int, int], logical: ScriptedLogicalScenario
 ) -> ScriptedSlots:
-    """Create slots without episodes.
-
-    Args:
-        n_slots: number of slots.
-        n_frames: greatest number of frames of an episode.
-        shape_of_actions: greatest number of decisions of an episode, and the number of values of an action.
-        logical: logical scenario of the scenarios to run.
-    """
+    """Create slots without episodes."""
     npcs, routes = logical.n_npcs, logical.roadmap.npc_routes
     n_phases = 1 + max(len(logical.position_ranges(route)) for route in routes)
     n_steps = max(len(route.lanes) for route in (logical.roadmap.ego_route, *routes))
@@ -175,14 +168,6 @@ def move_npcs(routes: Routes, vehicles: Records, scripts: Records, phases: Float
     """Move the NPCs of a slot to where they are at a time [s], which never decreases.
 
     Neither the cosine and sine of their headings nor their lanes are updated.
-
-    Args:
-        routes: the routes of NPCs.
-        vehicles: the ego and the NPCs, changed in place.
-        scripts: shape (N,) of `SCRIPT`, changed in place.
-        phases: shape (N, phases, 4).
-        n_npcs: number of NPCs.
-        time: the time [s].
     """
     for i in range(n_npcs):
         script, npc, n = scripts[i], vehicles[1 + i], scripts[i].phase
@@ -195,15 +180,7 @@ def move_npcs(routes: Routes, vehicles: Records, scripts: Records, phases: Float
 
 @kernel_in_place
 def fill_table(routes: Routes, scripts: Records, phases: Floats, time: Floats, table: Floats) -> None:
-    """Fill in the NPCs' motion table of a slot at given times; see `behavexplor.data.npc_motion.motion_table`.
-
-    Args:
-        routes: routes of NPCs.
-        scripts: shape (N,) of `SCRIPT`.
-        phases: their phases, shape (N, phases, 4).
-        time: times [s], shape (T,).
-        table: table of the NPCs that are there, shape (T, n_npcs, 5); changed in place.
-    """
+    """Fill in the motion table, shape (T, n_npcs, 5), of the NPCs in a slot; see `behavexplor.data.npc_motion`."""
     for i in range(table.shape[1]):
         fill_frames(routes, scripts[i].route, phases[i], scripts[i].n_phases, time, table[:, i])
 
@@ -218,13 +195,7 @@ class NPCArrays(NamedTuple):
 
 
 def npc_arrays(scenarios: Sequence[ScriptedScenario], roadmap: RoadMap, n_waypoints: int) -> NPCArrays:
-    """Return the NPCs of scenarios as arrays.
-
-    Args:
-        scenarios: the scenarios, of which each has any number of NPCs.
-        roadmap: their map.
-        n_waypoints: number of waypoints to which those of each NPC are padded.
-    """
+    """Return the NPCs of scenarios as arrays, the waypoints of each padded to `n_waypoints`."""
     index = route_index(roadmap)
     npcs = [npc for scenario in scenarios for npc in scenario.npcs]
     padded = [npc.waypoints + npc.waypoints[-1:] * (n_waypoints - len(npc.waypoints)) for npc in npcs]

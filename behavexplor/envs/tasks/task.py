@@ -146,15 +146,7 @@ class TaskKind:
 
 
 def make_task(env: AbstractEnv, number: int, kind: TaskKind, starts: Starts, most_decisions: int | None) -> Task:
-    """Return the starts, rewards and ends of an environment that has been reset.
-
-    Args:
-        env: an environment of this kind.
-        number: number of the kind.
-        kind: the kind.
-        starts: where its vehicles start.
-        most_decisions: number of decisions after which an episode is truncated, if there is one.
-    """
+    """Return the starts, rewards and ends of an environment that has been reset."""
     config = env.config
     rules = np.zeros(1, TASK)
     row = rules.view(np.recarray)[0]
@@ -194,10 +186,7 @@ def no_starts() -> Starts:
 def make_starts(env: AbstractEnv, kind: TaskKind, obstacles: Records) -> Starts:
     """Return where the vehicles of an environment start, and their routes.
 
-    Args:
-        env: an environment that has been reset and makes its road and vehicles as highway-env does.
-        kind: its kind.
-        obstacles: its obstacles, shape (obstacles,) of `VEHICLE`.
+    It makes its road and vehicles as highway-env does.
 
     Raises:
         InputError: if its road has no lanes where vehicles would start.
