@@ -132,21 +132,13 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activat
 
 
 def _check_features(model: Path, described: Description) -> None:
-    """Refuse a network of `train` that is described as seeing anything but the features.
-
-    Raises:
-        InputError: if its features would be scaled or stacked.
-    """
+    """Refuse a network of `train` that is described as seeing anything but the features."""
     if described.statistics is not None or described.frame_stack > 1:
         raise InputError(f"{model} is described as a network of `train`, whose features are neither scaled nor stacked")
 
 
 def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection[str]) -> Any:
-    """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3.
-
-    Raises:
-        InputError: if it cannot drive here.
-    """
+    """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3."""
     from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.policy import load_network  # noqa: PLC0415
 

@@ -146,9 +146,6 @@ class Run:
         Args:
             runs: keys of the code that would be run, see `behavexplor.campaign.provenance`.
             goes_on: whether the campaign is to go on.
-
-        Raises:
-            InputError: if the folder names code that the user has not agreed to.
         """
         given = self._given
         consent = replace(self._consent, names=(given.name,) if given.is_named or given.driver is not None else ())

@@ -118,11 +118,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
 
 
 def _check_together(stop_after: int | None, resume: Path | None, *, is_new: bool) -> None:
-    """Check flags that do not depend on the campaign.
-
-    Raises:
-        InputError: if one is out of range, or cannot be given beside another.
-    """
+    """Check flags that do not depend on the campaign."""
     if stop_after is not None and stop_after < 1:
         raise InputError(f"--stop-after {stop_after} must be at least 1")
     if resume and is_new:
@@ -207,11 +203,7 @@ def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
 
 
 def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
-    """Return the configuration in a run folder, possibly with another budget.
-
-    Raises:
-        InputError: if a flag would change anything but the budget, or code would be run without the user's word.
-    """
+    """Return the configuration in a run folder, possibly with another budget."""
     stored, said = stored_config(run), {name: value for name, value in given.items() if name != "trust"}
     check_unchanged({name: value for name, value in said.items() if name != "budget"}, stored.says, "run")
     names = tuple(value for value in said.values() if isinstance(value, str))

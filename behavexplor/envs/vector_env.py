@@ -99,11 +99,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
         return rewards if self._terms is None else sum(self._terms, rewards), terminated, truncated, stepped
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> None:
-        """Begin an episode in the chosen slots, with the given scenario or a sampled one.
-
-        Raises:
-            InputError: if a scenario has no room in a slot.
-        """
+        """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
         begun: dict[int, ScriptedScenario] = {}
         for b in np.flatnonzero(mask).tolist():
             scenario = scenarios[b] if scenarios else None

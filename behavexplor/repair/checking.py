@@ -46,12 +46,7 @@ class Checker:
         self._specs = specs
 
     def __call__(self, case: Case) -> CheckedCase:
-        """Drive one case.
-
-        Raises:
-            InputError: if its scenario does not belong to the environment.
-            RuntimeError: if it could not be executed.
-        """
+        """Drive one case."""
         return self._outcome(case, self._begun(case))
 
     def all_of(self, cases: Sequence[Case]) -> Iterator[CheckedCase]:

@@ -139,11 +139,7 @@ class FuzzCallback(BaseCallback):
             self._folder = None
 
     def _check(self) -> None:
-        """Check all that a round needs, because a mistake that shows in the first round costs the training.
-
-        Raises:
-            InputError: if the policy, its environment, the search method or a requirement cannot be used.
-        """
+        """Check all that a round needs, because a mistake that shows in the first round costs the training."""
         given: Any = given_driver(self.model)
         config = config_of(given, self._env, **{"env_config": None, **self._settings})
         Budget.parse(config.budget)

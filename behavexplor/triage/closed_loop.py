@@ -108,11 +108,7 @@ def _actions(rng: np.random.Generator) -> Actions:
 
 
 def _driven(scenario: DrawnScenario, actions: Actions) -> list[Trace]:
-    """Return the trace of the careful driver, and one for each row of actions.
-
-    Raises:
-        InputError: if the environment cannot be configured so.
-    """
+    """Return the trace of the careful driver, and one for each row of actions."""
     env, careful = _environment(scenario.setup), CarefulDriver()
     same = replace(scenario, setup=env.logical.setup)
     try:
@@ -125,22 +121,14 @@ def _driven(scenario: DrawnScenario, actions: Actions) -> list[Trace]:
 
 
 def _compiled(driver: Any, scenario: DrawnScenario, same: DrawnScenario, count: int) -> list[Trace]:
-    """Return the traces of so many egos with a driver, each alone in the scenario.
-
-    Raises:
-        InputError: if the compiled engine does not support the environment.
-    """
+    """Return the traces of so many egos with a driver, each alone in the scenario."""
     ended = dict(rollout_all(_lock_step(scenario.setup, count), driver, [same] * count))
     return [ended[row] for row in range(count)]
 
 
 @lru_cache(maxsize=1)  # making an environment takes longer than driving in it, and all failures of a run have the same
 def _environment(setup: Setup) -> Any:
-    """Return an environment in which the careful driver and meta-actions can drive.
-
-    Raises:
-        InputError: if the environment cannot be configured so.
-    """
+    """Return an environment in which the careful driver and meta-actions can drive."""
     return make_recorded(replace(setup, config=config_text(CarefulDriver().fitted(json.loads(setup.config)))))
 
 

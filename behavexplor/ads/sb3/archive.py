@@ -132,11 +132,7 @@ def _settings(file: ZipFile) -> dict[str, Any]:
 
 
 def _read_settings(path: Path, data: Mapping[str, Any], reader: PickleReader) -> tuple[dict[str, Any], list[str]]:
-    """Return the entries of `SETTINGS` among a model's settings, and the suspicions about all pickles in them.
-
-    Raises:
-        InputError: if an entry of `SETTINGS` cannot be read, or is too large to be walked through.
-    """
+    """Return the entries of `SETTINGS` among a model's settings, and the suspicions about all pickles in them."""
     settings, suspicions = {}, []
     for key, value in data.items():
         place = f"{key!r} of its data"
@@ -168,12 +164,7 @@ def _content(place: str, value: Any, reader: PickleReader) -> tuple[Any, list[st
 
 
 def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> list[str]:
-    """Return the suspicions about a file of tensors: a zip file that contains a pickle.
-
-    Raises:
-        InputError: if the file has a format of earlier versions of torch, or would unpack to more bytes than it has.
-        ValueError: if it is no such file, or its pickle cannot be read.
-    """
+    """Return the suspicions about a file of tensors: a zip file that contains a pickle."""
     if content.startswith(_OLD_TORCH):
         raise InputError(
             f"{name} in {path} has the format of torch before 1.6, which is not read: if you trust its origin, load "

@@ -100,11 +100,7 @@ def _online_only(state: dict[str, Any], optimizer: torch.optim.Optimizer) -> dic
 
 
 def _algorithm_of(archive: Archive, policy_class: type[Any]) -> type[BaseAlgorithm]:
-    """Return the algorithm that trained a model.
-
-    Raises:
-        InputError: if models of this algorithm cannot go on learning here.
-    """
+    """Return the algorithm that trained a model."""
     module = policy_class.__module__
     if module in _OF_MODULES:
         return _OF_MODULES[module]

@@ -172,11 +172,7 @@ def describe(model: Path) -> Description:
 
 
 def _statistics_in(folder: Path, model: Path) -> Path | None:
-    """Return the file of statistics in a folder; None if there is none.
-
-    Raises:
-        InputError: if there are two.
-    """
+    """Return the file of statistics in a folder; None if there is none."""
     if (named := _of_checkpoint(model)).is_file():
         return named
     found = [folder / name for name in STATISTICS if (folder / name).is_file()]
@@ -259,11 +255,7 @@ def _wrapper_names(settings: Mapping[str, Any]) -> list[Any]:
 
 
 def _checked(path: Path, values: Mapping[str, Any]) -> Description:
-    """Make a description of values that were read from a file or folder.
-
-    Raises:
-        InputError: if a value has the wrong type or is out of range. The message names the first such value.
-    """
+    """Make a description of values that were read from a file or folder."""
     try:
         description = TypeAdapter(Description).validate_python(values)
     except ValidationError as error:

@@ -161,11 +161,7 @@ def _read_moments(path: Path, state: Mapping[str, Any]) -> Moments | dict[str, M
 
 
 def _moments(path: Path, saved: Any) -> Moments:
-    """Return the moments in a `RunningMeanStd`.
-
-    Raises:
-        InputError: if they cannot be used.
-    """
+    """Return the moments in a `RunningMeanStd`."""
     state = _state(saved, "RunningMeanStd")
     mean, variance = as_array(state["mean"]), as_array(state["var"])
     if mean.shape != variance.shape or not np.isfinite([mean, variance]).all() or (variance < 0).any():

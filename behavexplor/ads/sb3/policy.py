@@ -197,11 +197,7 @@ def _last_observations(settings: Mapping[str, Any]) -> Observation | None:
 
 
 def _check_statistics(name: str, statistics: Statistics, space: gymnasium.Space[Any]) -> None:
-    """Check that the statistics of a file belong to a policy's observations.
-
-    Raises:
-        InputError: if they do not.
-    """
+    """Check that the statistics of a file belong to a policy's observations."""
     shapes, expected = _shapes(statistics, space)
     if shapes != expected:
         raise InputError(f"{name} has statistics for observations of shape {shapes}, the policy's have {expected}")
@@ -218,11 +214,7 @@ def _shapes(statistics: Statistics, space: gymnasium.Space[Any]) -> tuple[Any, A
 
 
 def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
-    """Return the space of one of the frames that are stacked.
-
-    Raises:
-        InputError: if a space of stacked frames cannot be this one.
-    """
+    """Return the space of one of the frames that are stacked."""
     if stack == 1:
         return space
     if isinstance(space, gymnasium.spaces.Dict):

@@ -159,11 +159,7 @@ def in_wrappers(policy: Any, model: Path, named: Sequence[Named], trust: Collect
 
 
 def _wrapper(name: str) -> Any:
-    """Return the class of a wrapper.
-
-    Raises:
-        InputError: if it cannot be imported, or is not one that changes observations or actions alone.
-    """
+    """Return the class of a wrapper."""
     module, _, attribute = name.partition(":")
     try:
         found = getattr(import_module(module), attribute)

@@ -79,11 +79,7 @@ def read_tensors(path: Path) -> TensorFile:
 
 
 def _check_members(path: Path, file: ZipFile, packed: int) -> None:
-    """Check the members of a file of torch, which does not compress, before anything is unpacked.
-
-    Raises:
-        InputError: if they would unpack to more bytes than the file has.
-    """
+    """Check the members of a file of torch, which does not compress, before anything is unpacked."""
     unpacked = sum(member.file_size for member in file.infolist())
     if unpacked > packed or any(one.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for one in file.infolist()):
         raise InputError(f"{path} would unpack to {unpacked} bytes, which torch never writes; it was not read")
@@ -128,11 +124,7 @@ def _without_tensors(path: Path, content: Any, entries: list[tuple[str, Any]]) -
 
 
 def _entries(content: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
-    """Yield what the dictionaries of a file hold, except optimizers, by dotted name.
-
-    Raises:
-        ValueError: if they are nested too deeply, or hold too much.
-    """
+    """Yield what the dictionaries of a file hold, except optimizers, by dotted name."""
     count, waiting = 0, [(path, content)]
     while waiting:
         path, value = waiting.pop()
@@ -164,11 +156,7 @@ class _Storages:
         self._read: dict[str, bytes] = {}
 
     def tensor(self, made: Inert) -> NDArray[Any]:
-        """Return the array of a tensor, which shares the memory of its numbers.
-
-        Raises:
-            ValueError: if it reaches beyond them.
-        """
+        """Return the array of a tensor, which shares the memory of its numbers."""
         if made.name.startswith(_PARAMETER):
             made = made.arguments[0]
         storage, offset, shape, strides = made.arguments[:4]

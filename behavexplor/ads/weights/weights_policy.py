@@ -71,11 +71,7 @@ class WeightsPolicy:
         return SB3Policy(policy, described, statistics, None).seeing(space, action_space)
 
     def _space(self, space: gymnasium.Space[Any]) -> gymnasium.spaces.Box:
-        """Return the space of the observations of the network.
-
-        Raises:
-            InputError: if it has convolutions for other observations.
-        """
+        """Return the space of the observations of the network."""
         if not self.network.convolutions:
             return _numbers((self.network.layers[0].inputs,))
         shape, channels = space.shape or (), self.network.layers[0].inputs

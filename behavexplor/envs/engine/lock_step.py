@@ -113,11 +113,7 @@ class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     @abstractmethod
     def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
-        """Return more arguments for `_begin` from the options of a reset.
-
-        Raises:
-            InputError: if an option cannot be used.
-        """
+        """Return more arguments for `_begin` from the options of a reset."""
 
     @abstractmethod
     def _seed(self, b: int, seed: int | None) -> None:

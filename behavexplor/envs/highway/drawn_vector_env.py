@@ -158,11 +158,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
 
 def _engine(env: DrawnEnv, num_envs: int, *, rewards: bool) -> HighwayVectorEnv:
-    """Return the engine for an environment.
-
-    Raises:
-        InputError: if it does not support the environment or its configuration, or cannot make one by its class.
-    """
+    """Return the engine for an environment."""
     kind = type(env.inner)
     try:
         return HighwayVectorEnv(

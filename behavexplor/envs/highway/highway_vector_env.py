@@ -189,11 +189,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         return compiled_for(episodes.advance, *state, self._everywhere, self._actions, episodes.DECISION, False)
 
     def _advance(self, stage: int, mask: Bools, actions: NDArray[Any], *, logs_start: bool = False) -> int:
-        """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended.
-
-        Raises:
-            InputError: if the actions are not in the action space, or the vehicles of an episode have no room.
-        """
+        """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended."""
         self._put(actions)
         state = (self._engine, self._slots, self._scratch, self._outcome)
         n_ended = self._advance_slots(*state, mask, self._actions, stage, logs_start)
@@ -204,11 +200,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         return n_ended
 
     def _put(self, actions: NDArray[Any]) -> None:
-        """Hand actions to the kernel, which itself refuses discrete actions that are out of range.
-
-        Raises:
-            InputError: if the actions are not in the action space otherwise.
-        """
+        """Hand actions to the kernel, which itself refuses discrete actions that are out of range."""
         if not self._is_discrete:
             check_actions(self.action_space, actions)
             self._actions.commands[:] = self._commands(actions)
