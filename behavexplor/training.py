@@ -20,7 +20,6 @@ import sb3_contrib
 import stable_baselines3
 import torch
 import yaml
-from numpy.typing import NDArray
 from pydantic import ConfigDict
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -35,6 +34,7 @@ from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_network
 from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MOST_ENVS
 from behavexplor.data.durable import check_file, folder_in, new_file, write_durably
 from behavexplor.data.untrusted import read_file
@@ -297,7 +297,7 @@ class TrainingReporter(BaseCallback):
         self._observe = observe
         self._ends: list[str] = []
         self._rewards: list[float] = []
-        self._sums: NDArray[np.float64] = np.zeros(0)
+        self._sums: Floats = np.zeros(0)
 
     def _on_training_start(self) -> None:
         self._sums = np.zeros(self.training_env.num_envs)

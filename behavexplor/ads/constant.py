@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_actions
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
@@ -44,9 +43,9 @@ class ConstantDriver:
 
     def predict(
         self,
-        observation: NDArray[Any],
+        observation: Array,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002
+        episode_start: Bools | None = None,  # noqa: ARG002
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Any]:
         """Return the same command for each ego, shape (B, 2); see `behavexplor.ads.interface.ADS`."""
@@ -69,9 +68,9 @@ class ConstantManeuver:
         self,
         observation: Any,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002
-    ) -> tuple[NDArray[np.int64], Any]:
+    ) -> tuple[Ints, Any]:
         """Return the same meta-action for each ego, shape (B,); see `behavexplor.ads.interface.ADS`."""
         count = len(observation) if episode_start is None else len(episode_start)
         return np.full(count, self._index), state

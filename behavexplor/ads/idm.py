@@ -9,12 +9,11 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.road.path import Path, ego_path, limit_at, pose_on_path, project_on_path
 from behavexplor.ads.road.steering import steer
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, as_actions, as_scenes
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.errors import InputError
@@ -43,7 +42,7 @@ class IDMDriver:
         self,
         observation: Floats,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002
+        episode_start: Bools | None = None,  # noqa: ARG002
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Any]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.

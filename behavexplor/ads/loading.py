@@ -8,13 +8,13 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.learned.driver import LearnedDriver
 from behavexplor.ads.learned.network_file import Rule, TrainedNetwork, read_network
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import WEIGHTS, Description, describe, find_model, is_policy
+from behavexplor.data.array_types import Array, Bools
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.target import Activation
@@ -210,15 +210,15 @@ class FunctionDriver:
         self,
         observation: Observation,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - the function keeps nothing
+        episode_start: Bools | None = None,  # noqa: ARG002 - the function keeps nothing
         deterministic: bool = True,  # noqa: ARG002
-    ) -> tuple[NDArray[Any], Any]:
+    ) -> tuple[Array, Any]:
         """Choose the action of the only ego; see `behavexplor.ads.interface.ADS`."""
         action = self._function(mapped(_first, observation))
         return _row(action), state
 
 
-def _row(action: Any) -> NDArray[Any]:
+def _row(action: Any) -> Array:
     """Return an action as a batch of one. An answer that cannot be an array is kept, and refused by its check."""
     try:
         return np.asarray(action)[None]
@@ -228,8 +228,8 @@ def _row(action: Any) -> NDArray[Any]:
         return kept
 
 
-def _first(rows: NDArray[Any]) -> NDArray[Any]:
-    first: NDArray[Any] = rows[0]
+def _first(rows: Array) -> Array:
+    first: Array = rows[0]
     return first
 
 

@@ -5,9 +5,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.scene import N_COLUMNS
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place, kernel_inner
@@ -24,7 +23,7 @@ ACTION: Final[Mapping[str, Any]] = MappingProxyType(
 )
 
 
-def as_scenes(observation: NDArray[Any]) -> Floats:
+def as_scenes(observation: Array) -> Floats:
     """Return an observation as scenes, shape (B, 1 + n, 8), rounded to `RESOLUTION`.
 
     Raises:
@@ -43,7 +42,7 @@ def _round(numbers: Floats) -> None:
         numbers[i] = np.rint(numbers[i] / RESOLUTION) * RESOLUTION
 
 
-def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Floats:
+def as_memory(state: Floats | None, episode_start: Bools | None, shape: tuple[int, int]) -> Floats:
     """Return the memory as a new array of a shape (B, n): zeros at first, and in rows that begin an episode.
 
     Raises:

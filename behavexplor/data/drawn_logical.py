@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, sorted_draws
 from behavexplor.data.logical import Mutations, Noise, Part, Parts
 from behavexplor.data.trace import Trace
@@ -175,7 +175,7 @@ class DrawnLogicalScenario:
         return np.where(self._is_normal, normal, uniform)
 
     @cached_property
-    def _is_normal(self) -> NDArray[np.bool_]:
+    def _is_normal(self) -> Bools:
         return np.array([draw.kind == NORMAL for draw in self.draws], dtype=bool)
 
     def _fresh(self, rng: np.random.Generator) -> Floats:

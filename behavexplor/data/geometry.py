@@ -7,10 +7,9 @@ lateral offset therefore lies to the right of the direction of travel. Lengths a
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.data import box_kernels
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 
 _UNIT_BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
@@ -30,7 +29,7 @@ def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
     return corners
 
 
-def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
+def boxes_overlap(a: Floats, b: Floats) -> Bools:
     """Return whether boxes touch or overlap, shape (...), by the separating axis theorem.
 
     They are given by their corners, shape (..., 4, 2).
@@ -180,7 +179,7 @@ def _flat(points: Floats, count: int) -> Floats:
     return np.array(points, dtype=np.float64, order="C").reshape(-1, count, 2)
 
 
-def segment_meets_box(box: Floats, segment: Floats) -> NDArray[np.bool_]:
+def segment_meets_box(box: Floats, segment: Floats) -> Bools:
     """Return whether segments (..., 2, 2) touch or enter boxes (..., 4, 2), by the separating axis theorem."""
     start, end = segment[..., 0, :], segment[..., 1, :]
     along = end - start

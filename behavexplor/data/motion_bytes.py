@@ -2,14 +2,13 @@
 
 import threading
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import safetensors.numpy
 import zstandard
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bytes, Floats, Ints
+from behavexplor.data.array_types import Array, Bytes, Floats, Ints
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place
 
@@ -115,13 +114,13 @@ class _Compression(threading.local):
 _compression = _Compression()
 
 
-def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+def pack_arrays(arrays: Mapping[str, Array]) -> bytes:
     """Return arrays of numbers or truth values as bytes. Equal arrays give equal bytes."""
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     return _compression.compressor.compress(safetensors.numpy.save(contiguous))
 
 
-def unpack_arrays(data: bytes) -> dict[str, NDArray[Any]]:
+def unpack_arrays(data: bytes) -> dict[str, Array]:
     """Return the arrays that `pack_arrays` packed. No code in the data is executed.
 
     Raises:

@@ -10,8 +10,8 @@ from zipfile import ZipFile
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Array
 from behavexplor.errors import InputError, brief
 
 MAX_NODES: Final = 100_000  # nodes in a YAML file; an alias counts as often as it is used
@@ -127,7 +127,7 @@ def object_fields(what: str, value: object, names: tuple[str, ...]) -> dict[str,
     return value
 
 
-def read_arrays(data: bytes) -> Mapping[str, NDArray[Any]]:
+def read_arrays(data: bytes) -> Mapping[str, Array]:
     """Read the arrays in an npz file, by name. No code in the file is executed.
 
     Raises:

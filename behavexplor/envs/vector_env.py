@@ -6,9 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.driving import DrivingEnv
@@ -88,7 +87,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
         if seed is not None:
             self._generators[b], _ = seeding.np_random(seed)
 
-    def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
+    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools]:
         if self.checks_actions:
             check_actions(self.action_space, actions)
         stepped = self._episodes.ends == RUNNING

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.trace import Trace
 
-Steps = NDArray[np.int64]
+Steps = Ints
 
 FRAME_TIME: Final = 0.1  # time between two frames of a replay [s]
 MAX_FRAMES: Final = 900  # greatest number of frames of a replay; a longer one has frames farther apart
@@ -31,7 +30,7 @@ class Packed:
     """
 
     frames: int  # number of frames
-    kept: NDArray[np.int64]  # indices of these frames in the trace, shape (frames,)
+    kept: Ints  # indices of these frames in the trace, shape (frames,)
     vehicles: int  # number of vehicles, the ego first
     middle: tuple[float, float]  # middle of all positions [m], the origin of x and y
     unit: float  # unit of x and y [m]
@@ -66,7 +65,7 @@ def pack(trace: Trace, frame: int) -> Packed:
     return Packed(len(kept), kept, len(trace.size), origin, unit, _deflated(rows), _spans(trace, kept))
 
 
-def _spans(trace: Trace, kept: NDArray[np.int64]) -> list[tuple[int, int]]:
+def _spans(trace: Trace, kept: Ints) -> list[tuple[int, int]]:
     """Return the first and the last of the kept frames in which each vehicle is present; (1, 0) if it is in none."""
     if not trace.present.size:
         return [(0, len(kept) - 1)] * len(trace.size)
@@ -90,7 +89,7 @@ def _held(trace: Trace) -> Floats:
     return position
 
 
-def _kept(trace: Trace, frame: int) -> NDArray[np.int64]:
+def _kept(trace: Trace, frame: int) -> Ints:
     """Return frames about `FRAME_TIME` apart, with the given frame and the last one."""
     count = min(MAX_FRAMES, int(trace.duration / FRAME_TIME + 1e-6) + 1)
     times = np.linspace(0, (count - 1) * FRAME_TIME if count < MAX_FRAMES else trace.duration, count)

@@ -12,9 +12,9 @@ from functools import lru_cache
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.careful import CarefulDriver
+from behavexplor.data.array_types import Ints
 from behavexplor.data.conventions import MANEUVERS, STANDING_SPEED
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, config_text
 from behavexplor.data.trace import ARRIVED, CRASHED, Trace
@@ -31,7 +31,7 @@ HELD: Final = 2  # decisions for which such a driver keeps an action
 MOST_DECISIONS: Final = 500
 STANDING_STILL: Final = "standing still"  # what a witness is called that avoids the crash by no more than that
 
-Actions = NDArray[np.int64]
+Actions = Ints
 Found = Literal["preventable", "standing_still_avoids_it", "unpreventable"] | None
 
 

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.rule import Parameters, RulePlanner
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import ENVIRONMENT, UNKNOWN, Trace, weakness_names
 from behavexplor.execution.rollout import rollout, rollout_all
@@ -58,7 +57,7 @@ class ForkedPlanner:
         self,
         observation: Floats,
         state: tuple[int, Floats | None] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
+        episode_start: Bools | None = None,  # noqa: ARG002 - all egos begin together
         deterministic: bool = True,  # noqa: ARG002 - the planner is always deterministic
     ) -> tuple[Floats, tuple[int, Floats]]:
         """Return the commands of all egos, as in `behavexplor.ads.interface.ADS`. The state counts the decisions."""

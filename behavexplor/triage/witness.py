@@ -13,9 +13,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.geometry import box_corners, boxes_overlap, project_on_polyline
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
@@ -104,7 +103,7 @@ class Playback:
         self,
         observation: Floats,
         state: int | None = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
+        episode_start: Bools | None = None,  # noqa: ARG002 - all egos begin together
         deterministic: bool = True,  # noqa: ARG002 - playback is always deterministic
     ) -> tuple[Floats, int]:
         """Return the command of this step for every ego. The state counts the steps."""
@@ -154,7 +153,7 @@ class EvasionDriver:
         self,
         observation: Floats,
         state: tuple[int, Floats, Ints] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
+        episode_start: Bools | None = None,  # noqa: ARG002 - all egos begin together
         deterministic: bool = True,  # noqa: ARG002 - evasions are always deterministic
     ) -> tuple[Floats, tuple[int, Floats, Ints]]:
         """Return the commands of all egos. The state holds the step, the last commands and the nearest path points."""

@@ -6,14 +6,13 @@ from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.learned import choosing
 from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.learned.observation import N_FEATURES, see
 from behavexplor.ads.learned.route_table import Course, make_course
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, N_COLUMNS, PRESENT
 from behavexplor.errors import InputError
@@ -153,7 +152,7 @@ class LearnedDriver:
         self,
         observation: Floats,
         state: Floats | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002 - `draw` draws
     ) -> tuple[Floats, Floats]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
@@ -173,7 +172,7 @@ class LearnedDriver:
         return self._drive(observation, state, episode_start, None)
 
     def draw(
-        self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, noise: Floats
+        self, observation: Floats, state: Floats | None, episode_start: Bools | None, noise: Floats
     ) -> tuple[Floats, Floats]:
         """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
         return self._drive(observation, state, episode_start, np.array(noise[:, 0], dtype=np.float64))
@@ -183,7 +182,7 @@ class LearnedDriver:
         return {"wanted_offset": state[:, choosing.WANTED]}
 
     def _drive(
-        self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, shares: Floats | None
+        self, observation: Floats, state: Floats | None, episode_start: Bools | None, shares: Floats | None
     ) -> tuple[Floats, Floats]:
         """Return the actions, shape (B, 2), and the memory; `shares` in [0, 1), shape (B,), draw actions.
 

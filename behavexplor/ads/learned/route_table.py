@@ -5,11 +5,10 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.road.lane_arrays import LENGTH, lane_array, pose_on_lane
 from behavexplor.ads.road.path import SPACING, Path, ego_path, pose_on_path, project_on_path
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.roadmap import Lane, RoadMap
 from behavexplor.jit import kernel_in_place
@@ -32,7 +31,7 @@ class Course(NamedTuple):
     # enters and leaves the ego's path, and the stations of that path between which it is then. Infinite if the vehicle
     # never enters the ego's path.
     zones: Floats
-    own: NDArray[np.bool_]  # True for each lane of the ego's route, shape (L,)
+    own: Bools  # True for each lane of the ego's route, shape (L,)
 
 
 @cache

@@ -21,7 +21,7 @@ from behavexplor.ads.rule.traffic import N_MEMORIES, N_OTHER_COLUMNS, Memory, as
 from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
 from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, HEADING, N_COLUMNS, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.data.scene import LENGTH as EGO_LENGTH
@@ -229,7 +229,7 @@ class RulePlanner:
         self,
         observation: Floats,
         state: Floats | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Floats]:
         """Decide for a batch of egos.

@@ -58,7 +58,7 @@ TOUCHING: Final = 0.2  # lateral gap below which a vehicle is in the same lane [
 NO_VEHICLE: Final = -1
 
 
-def as_records(state: NDArray[np.float64]) -> NDArray[np.record]:
+def as_records(state: Floats) -> NDArray[np.record]:
     """Return the state of a batch, shape (B, numbers), as records of `MEMORY` in the same storage, shape (B,)."""
     return cast("NDArray[np.record]", state.view(MEMORY)[:, 0])
 

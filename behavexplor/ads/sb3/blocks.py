@@ -15,7 +15,6 @@ from typing import Any, Final, NamedTuple
 import gymnasium
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.distributions import CategoricalDistribution, DiagGaussianDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor, MlpExtractor
@@ -23,6 +22,7 @@ from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
 from torch.nn.functional import pad
 
 from behavexplor.ads.sb3.layered import LayeredPolicy
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.observations import Observation, arrays_of, mapped
 
 ROWS: Final = 64  # rows in a block
@@ -43,7 +43,7 @@ _DISTRIBUTIONS: Final = frozenset(  # distributions of Stable-Baselines3 and sb3
 Tensor = torch.Tensor
 _KNOWN: Final = ("torch.", "stable_baselines3.", "sb3_contrib.", "behavexplor.")
 _LOCK: Final = Lock()  # the blocks of a network hold one question at a time
-Memory = tuple[NDArray[Any], ...]
+Memory = tuple[Array, ...]
 
 
 @dataclass
@@ -118,7 +118,7 @@ class DenseActor:
         self._numbers = self._outputs.numpy()
         self._operations: dict[int, list[Operation]] = {}  # by number of rows
 
-    def decide(self, observation: NDArray[Any]) -> NDArray[Any] | None:
+    def decide(self, observation: Array) -> Array | None:
         """Return the most probable actions, shape (B, ...), for observations of shape (B, ...).
 
         None if the observations have a wrong shape, or an output is not finite: then `predict` answers or fails in its
@@ -136,7 +136,7 @@ class DenseActor:
     def __reduce__(self) -> tuple[Any, ...]:
         return DenseActor, self._recipe  # the steps share memory, which copies would not
 
-    def _answer(self, rows: NDArray[Any]) -> NDArray[Any] | None:
+    def _answer(self, rows: Array) -> Array | None:
         count = len(rows)
         with np.errstate(over="ignore"):  # a number beyond single precision becomes infinite
             self._inputs[:count] = rows.reshape(count, -1)
@@ -243,7 +243,7 @@ def noise_of(network: BasePolicy) -> int:
     return _numbers(policy.action_space) if is_known and hasattr(policy, "get_distribution") else 0
 
 
-def drawn_by(network: BasePolicy, noise: NDArray[np.float64]) -> Callable[..., Any]:
+def drawn_by(network: BasePolicy, noise: Floats) -> Callable[..., Any]:
     """Return a replacement for `network._predict` that draws by numbers in [0, 1), shape (B, `noise_of(network)`)."""
     shares = torch.as_tensor(noise, dtype=torch.float32)
     policy: Any = network
@@ -317,12 +317,8 @@ class BlockwiseNetwork:
         self._actor = dense_actor(network) if layers else None
 
     def ask(
-        self,
-        observation: Observation,
-        memory: Memory | None,
-        episode_start: NDArray[np.bool_] | None,
-        noise: NDArray[np.float64] | None = None,
-    ) -> tuple[NDArray[Any], Memory | None]:
+        self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None = None
+    ) -> tuple[Array, Memory | None]:
         """Return the network's actions, shape (B, ...), and its memory, arrays (layers, B, ...), None if it has none.
 
         With `noise`, numbers in [0, 1) of shape (B, n), actions are drawn; without, they are the most probable ones.
@@ -335,12 +331,8 @@ class BlockwiseNetwork:
             return self._predict(observation, memory, episode_start, noise)
 
     def _predict(
-        self,
-        observation: Observation,
-        memory: Memory | None,
-        episode_start: NDArray[np.bool_] | None,
-        noise: NDArray[np.float64] | None,
-    ) -> tuple[NDArray[Any], Memory | None]:
+        self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None
+    ) -> tuple[Array, Memory | None]:
         """Call the network's `predict` for each block."""
         count, rows = len(arrays_of(observation)[0]), self._rows
         start = np.zeros(count, dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
@@ -375,11 +367,11 @@ def _stay(mode: bool) -> None:
     """Leave a network in the mode in which it is."""
 
 
-def _block_of(array: NDArray[Any], block: slice, rows: int) -> NDArray[Any]:
+def _block_of(array: Array, block: slice, rows: int) -> Array:
     return _filled(array[block], rows, 0)
 
 
-def _filled(array: NDArray[Any], rows: int, axis: int) -> NDArray[Any]:
+def _filled(array: Array, rows: int, axis: int) -> Array:
     """Pad an array with zeros at its end to a length of `rows` along an axis."""
     shape = [*array.shape]
     count, shape[axis] = shape[axis], rows
@@ -389,7 +381,7 @@ def _filled(array: NDArray[Any], rows: int, axis: int) -> NDArray[Any]:
 
 
 @contextmanager
-def _drawing(network: BasePolicy, noise: NDArray[np.float64] | None) -> Iterator[None]:
+def _drawing(network: BasePolicy, noise: Floats | None) -> Iterator[None]:
     """Let a network draw its actions; `predict` then scales and clips them as always."""
     if noise is None:
         yield

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 
+from behavexplor.data.array_types import Floats
 from behavexplor.errors import InputError
 
 
@@ -28,7 +28,7 @@ def dense_layers(policy: BasePolicy) -> list[torch.nn.Linear]:
     return layers
 
 
-def layer_arrays(layers: list[torch.nn.Linear]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def layer_arrays(layers: list[torch.nn.Linear]) -> list[tuple[Floats, Floats]]:
     """Return the weights, shape (outputs, inputs), and the biases, shape (outputs,), of each layer."""
     return [
         (

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.sb3.archive import suspicions_about
 from behavexplor.ads.sb3.inert import Inert, check_extent, read_pickle
+from behavexplor.data.array_types import Array, Floats, Singles
 from behavexplor.data.observations import Observation
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
@@ -21,7 +21,7 @@ _SCALAR: Final = {"numpy._core.multiarray.scalar", "numpy.core.multiarray.scalar
 MAX_BYTES: Final = 50_000_000
 
 
-def as_array(value: Any) -> NDArray[Any]:
+def as_array(value: Any) -> Array:
     """Return the array or scalar of numbers that numpy would make.
 
     Raises:
@@ -37,7 +37,7 @@ def as_array(value: Any) -> NDArray[Any]:
         raise ValueError(f"an array that cannot be read: {error}") from None
 
 
-def as_arrays(value: Any) -> NDArray[Any] | dict[str, NDArray[Any]]:
+def as_arrays(value: Any) -> Array | dict[str, Array]:
     """Return an array, or a dictionary of arrays.
 
     Raises:
@@ -54,7 +54,7 @@ def as_mapping(value: Any) -> dict[Any, Any] | None:
     return value if isinstance(value, dict) else None
 
 
-def _decoded(value: Inert) -> NDArray[Any]:
+def _decoded(value: Inert) -> Array:
     if value.name in _RECONSTRUCT:
         _, shape, dtype, in_columns, data = value.state
         order = "F" if in_columns else "C"
@@ -92,8 +92,8 @@ def _dtype(value: Any) -> np.dtype[Any]:
 class Moments:
     """Mean and variance of an array of observations."""
 
-    mean: NDArray[np.float64]  # mean, shape of one observation
-    variance: NDArray[np.float64]  # variance, shape of one observation
+    mean: Floats  # mean, shape of one observation
+    variance: Floats  # variance, shape of one observation
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class Statistics:
         arrays = dict(observations) if isinstance(observations, Mapping) else {}
         return arrays | {key: self._scaled(arrays[key], moments) for key, moments in self.moments.items()}
 
-    def _scaled(self, array: NDArray[Any], moments: Moments) -> NDArray[np.float32]:
+    def _scaled(self, array: Array, moments: Moments) -> Singles:
         scaled = (array - moments.mean) / np.sqrt(moments.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 

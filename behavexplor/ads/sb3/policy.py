@@ -9,7 +9,6 @@ from typing import Any, Final, NamedTuple, Self
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.preprocessing import is_image_space
 
@@ -19,7 +18,7 @@ from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_tru
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.normalization import Moments, Statistics, as_arrays
 from behavexplor.ads.sb3.views import FLAT, STACKED, PolicyView, view_of
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.errors import InputError, brief, sentence
 
@@ -117,9 +116,9 @@ class SB3Policy:
         self,
         observation: Observation,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002 - `draw` draws
-    ) -> tuple[NDArray[Any], Any]:
+    ) -> tuple[Array, Any]:
         """Decide deterministically for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
         The state is a pair: the observations stacked so far, and the state of a recurrent network.
@@ -127,14 +126,14 @@ class SB3Policy:
         return self._decide(observation, state, episode_start, None)
 
     def draw(
-        self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats
-    ) -> tuple[NDArray[Any], Any]:
+        self, observation: Observation, state: Any, episode_start: Bools | None, noise: Floats
+    ) -> tuple[Array, Any]:
         """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
         return self._decide(observation, state, episode_start, noise)
 
     def _decide(
-        self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats | None
-    ) -> tuple[NDArray[Any], Any]:
+        self, observation: Observation, state: Any, episode_start: Bools | None, noise: Floats | None
+    ) -> tuple[Array, Any]:
         frames, memory = (None, None) if state is None else state
         prepared, stack = self.prepare(mapped(np.asarray, observation)), self._stacking
         if stack.frames > 1:
@@ -239,7 +238,7 @@ def _axis(space: gymnasium.Space[Any]) -> int:
 
 
 def _stacked(
-    newest: Any, before: Any, episode_start: NDArray[np.bool_] | None, stack: Stacking, space: gymnasium.Space[Any]
+    newest: Any, before: Any, episode_start: Bools | None, stack: Stacking, space: gymnasium.Space[Any]
 ) -> Any:
     """Stack the last frames, with the newest at the end."""
     if isinstance(space, gymnasium.spaces.Dict):

@@ -6,8 +6,8 @@ from typing import Any, Final, Literal
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Array
 from behavexplor.data.observations import Observation
 
 FLAT: Final = "flat"
@@ -25,7 +25,7 @@ class PolicyView:
     frames: int = 1  # number of observations that are stacked
     said: str = ""  # a sentence for the user
 
-    def flattened(self, observation: Observation) -> NDArray[Any]:
+    def flattened(self, observation: Observation) -> Array:
         """Return observations, arrays of shape (B, ...), as arrays of shape (B, n)."""
         whole: Any = observation
         if not self.keys:

@@ -10,10 +10,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector.utils import create_empty_array
-from numpy.typing import NDArray
 
 from behavexplor.ads.sb3.description import OWN
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.drawn_scenario import DECLARED
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.untrusted import read_file
@@ -96,17 +95,17 @@ class WrappedPolicy:
         self,
         observation: Observation,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002 - `draw` draws
-    ) -> tuple[NDArray[Any], Any]:
+    ) -> tuple[Array, Any]:
         """Decide deterministically for the only ego; see `behavexplor.ads.interface.ADS`."""
         seen = self._seen(observation, begins=state is None or bool(episode_start is not None and episode_start[0]))
         actions, state = self._policy.predict(seen, state, episode_start)
         return self._acted(actions), state
 
     def draw(
-        self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats
-    ) -> tuple[NDArray[Any], Any]:
+        self, observation: Observation, state: Any, episode_start: Bools | None, noise: Floats
+    ) -> tuple[Array, Any]:
         """Draw the action of the only ego; see `behavexplor.ads.interface.StochasticADS`."""
         seen = self._seen(observation, begins=state is None or bool(episode_start is not None and episode_start[0]))
         actions, state = self._policy.draw(seen, state, episode_start, noise)
@@ -122,7 +121,7 @@ class WrappedPolicy:
                 row = one.observation(row) if isinstance(one, gymnasium.ObservationWrapper) else row
         return mapped(lambda array: np.asarray(array)[None], row)  # type: ignore[no-any-return]
 
-    def _acted(self, actions: NDArray[Any]) -> NDArray[Any]:
+    def _acted(self, actions: Array) -> Array:
         action = actions[0]
         for one in reversed(self._wrappers):
             action = one.action(action) if isinstance(one, gymnasium.ActionWrapper) else action

@@ -5,12 +5,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.weights.tensors import TensorFile
+from behavexplor.data.array_types import Array
 
 MOST_LAYERS: Final = 100  # of one network
 Output = Literal["values", "logits", "mean"]
@@ -42,8 +42,8 @@ class Layer:
 
     name: str  # its name in the file
     kind: str  # `DENSE`, `CONVOLUTION`, or a kind that is not supported, such as "recurrent"
-    weight: NDArray[Any]  # its weights, shape (outputs, inputs), or (outputs, inputs, rows, columns) of a convolution
-    bias: NDArray[Any] | None  # its biases, shape (outputs,); None without
+    weight: Array  # its weights, shape (outputs, inputs), or (outputs, inputs, rows, columns) of a convolution
+    bias: Array | None  # its biases, shape (outputs,); None without
 
     @property
     def outputs(self) -> int:
@@ -65,7 +65,7 @@ class ActingNetwork:
     head: tuple[Layer, ...]  # layers from there to the actions
     value: tuple[Layer, ...] = ()  # layers from there to the value of a duelling network; none in any other one
     deviation: tuple[Layer, ...] = ()  # layers from there to the logarithms of standard deviations; none without
-    log_std: NDArray[Any] | None = None  # logarithms of standard deviations that are the same everywhere; None without
+    log_std: Array | None = None  # logarithms of standard deviations that are the same everywhere; None without
     output: Output | None = None  # what its last layer gives, as far as names tell; None if unknown
 
     @property
@@ -127,7 +127,7 @@ def reason_against(file: TensorFile) -> str:
     return f"layers that do not follow one another ({shapes})" if layers else "no layers with weights"
 
 
-def _layer(name: str, arrays: Mapping[str, NDArray[Any]]) -> Layer | None:
+def _layer(name: str, arrays: Mapping[str, Array]) -> Layer | None:
     """Return the layer to which an array belongs as its weights; None for any other array."""
     array = arrays[name]
     other = next((kind for kind, pattern in _OTHER_KINDS.items() if pattern.search(name)), None)
@@ -141,7 +141,7 @@ def _layer(name: str, arrays: Mapping[str, NDArray[Any]]) -> Layer | None:
     return Layer(stem, kind, array if array.ndim > 1 else array.reshape(-1, 1), bias)
 
 
-def _networks(layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> list[ActingNetwork]:
+def _networks(layers: Sequence[Layer], stored: Mapping[str, Array]) -> list[ActingNetwork]:
     """Return the networks that some layers form: one, if they follow one another, or those of their parts."""
     prefix = _common(layers)
     whole = _network(prefix, layers, stored)
@@ -155,7 +155,7 @@ def _networks(layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> li
     return [found for part in parts.values() for found in _networks(part, stored)]
 
 
-def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> ActingNetwork | None:
+def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, Array]) -> ActingNetwork | None:
     """Return the network of layers that form one; None if they do not."""
     of: dict[str | None, list[Layer]] = {}
     for layer in layers:

@@ -12,12 +12,12 @@ from typing import Any, Final
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 from safetensors import SafetensorError, deserialize
 
 from behavexplor.ads.sb3.archive import suspicions_about
 from behavexplor.ads.sb3.inert import MAX_DEPTH, MAX_PARTS, OLD_TORCH, Inert, Name, PickleReader, TooLongError
 from behavexplor.ads.sb3.normalization import as_mapping
+from behavexplor.data.array_types import Array
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
@@ -43,7 +43,7 @@ class TensorFile:
     size: int  # its size [bytes]
     # the tensors by their dotted names, such as "q_net.fc1.weight", in the order of the file. Those of optimizers are
     # left out.
-    arrays: Mapping[str, NDArray[Any]] = field(repr=False)
+    arrays: Mapping[str, Array] = field(repr=False)
     in_order: bool = True  # whether this order is the one in which the layers were made
     suspicions: tuple[str, ...] = ()  # unusual calls that unpickling the file would make, each as a phrase
 
@@ -155,7 +155,7 @@ class _Storages:
         self._file, self._root = file, root
         self._read: dict[str, bytes] = {}
 
-    def tensor(self, made: Inert) -> NDArray[Any]:
+    def tensor(self, made: Inert) -> Array:
         """Return the array of a tensor, which shares the memory of its numbers."""
         if made.name.startswith(_PARAMETER):
             made = made.arguments[0]
@@ -178,12 +178,12 @@ class _Storages:
         return _widened(found) if kind.name.endswith("BFloat16Storage") else found
 
 
-def _widened(halves: NDArray[Any]) -> NDArray[Any]:
+def _widened(halves: Array) -> Array:
     """Return numbers of the type bfloat16, which are the upper halves of those of the type float32."""
     return (halves.astype(np.uint32) << 16).view(np.float32)
 
 
-def _of_safetensors(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
+def _of_safetensors(path: Path, data: bytes) -> Mapping[str, Array]:
     """Return the tensors of floats in a file of safetensors, whose own library checks sizes against the file."""
     if int.from_bytes(data[:8], "little") > MAX_HEADER:
         raise InputError(f"{path} is not a file of safetensors, or has a header that no policy needs")

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Ints
+from behavexplor.data.array_types import Floats, Ints
 
 Vehicle: TypeAlias = np.record
 Traits: TypeAlias = np.record
@@ -116,11 +116,11 @@ class Scratch(NamedTuple):
 
     n_on_lane: Ints  # number of vehicles on each lane, -1 if it has not been asked for in this frame; shape (lanes,)
     on_lane: Records  # these vehicles and their stations [m], shape (lanes, N) of `ON_LANE`
-    predictions: NDArray[np.float64]  # the vehicles' predicted positions [m] and headings [rad], shape (N, times, 3)
-    stations: NDArray[np.float64]  # station of each vehicle and obstacle on its closest lane [m], shape (N,)
-    offsets: NDArray[np.float64]  # offset from it [m], shape (N,)
+    predictions: Floats  # the vehicles' predicted positions [m] and headings [rad], shape (N, times, 3)
+    stations: Floats  # station of each vehicle and obstacle on its closest lane [m], shape (N,)
+    offsets: Floats  # offset from it [m], shape (N,)
     copy: Records  # a vehicle, shape (1,) of `VEHICLE`
-    xs: NDArray[np.float64]  # positions along x [m], shape (N,)
+    xs: Floats  # positions along x [m], shape (N,)
 
 
 class Scene(NamedTuple):

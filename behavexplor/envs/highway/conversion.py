@@ -8,8 +8,8 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.vehicle.objects import RoadObject
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
 from behavexplor.envs.engine.state import (
     IDM,
@@ -81,7 +81,7 @@ def _load_commands(vehicle: Vehicle, thing: Any) -> None:
         (vehicle.impact_x, vehicle.impact_y), vehicle.has_impact = thing.impact, True
 
 
-def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], speeds: NDArray[np.float64]) -> None:
+def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], speeds: Floats) -> None:
     if not np.array_equal(getattr(thing, "target_speeds", speeds), speeds):
         raise InputError(
             f"A vehicle has the target speeds {thing.target_speeds}, but those of the actions are {speeds}"

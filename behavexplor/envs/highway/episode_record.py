@@ -27,9 +27,8 @@ from highway_env.envs.racetrack_env import RacetrackEnv
 from highway_env.envs.roundabout_env import RoundaboutEnv
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import RoadObject
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.trace import (
     ABSENT,
@@ -131,7 +130,7 @@ class EpisodeRecord:
         )
         return trace.until(count, "collision") if crashed[:, 0].any() else trace
 
-    def _signals(self, crashed: NDArray[np.bool_], driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
+    def _signals(self, crashed: Bools, driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
         """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it."""
         signals = {CRASHED: crashed.astype(np.float64)}
         if self._leaving_matters:
@@ -187,11 +186,11 @@ class Watch:
         return number, *pose, lanes.get(lane, NO_LANE), lanes.get(target, NO_LANE), bool(thing.crashed)
 
 
-def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: int) -> dict[str, NDArray[Any]]:
+def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: int) -> dict[str, Array]:
     """Return the signals that the lanes tell; see `behavexplor.envs.highway.driven_lanes`."""
     table = lane_table(network)
     place = places(table, *lanes[:, :, 0])
-    signals: dict[str, NDArray[Any]] = {CHANGING: lane_changes(table, *lanes[:, :, 0]), WAY: table.way[place]}
+    signals: dict[str, Array] = {CHANGING: lane_changes(table, *lanes[:, :, 0]), WAY: table.way[place]}
     if partner > 0:
         turned = heading[:, partner] - heading[:, 0]
         where, beside = partner_places(table, place, places(table, *lanes[:, :, partner]), turned)
@@ -199,7 +198,7 @@ def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: i
     return signals
 
 
-def _partner(position: Floats, heading: Floats, size: Floats, crashed: NDArray[np.bool_]) -> int:
+def _partner(position: Floats, heading: Floats, size: Floats, crashed: Bools) -> int:
     """Return the vehicle or obstacle with which the ego crashed; -1 without a crash.
 
     highway-env does not tell it. It is the nearest of those that have crashed by the frame of the ego's crash.

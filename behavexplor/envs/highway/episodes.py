@@ -5,7 +5,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats, Ints, Singles
+from behavexplor.data.array_types import Array, Bools, Floats, Ints, Singles
 from behavexplor.envs.engine.frame_log import FrameLog, log_frame
 from behavexplor.envs.engine.frames import give_command, run_frames
 from behavexplor.envs.engine.lane_network import Network
@@ -207,7 +207,7 @@ def _judge(world: World, task: Task, scene: Scene, choice: int, numbers: Floats,
     flags[TRUNCATED] = flags[STEPPED] and is_late
 
 
-def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: NDArray[Any], chosen: Bools) -> dict[str, Any]:
+def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chosen: Bools) -> dict[str, Any]:
     """Return the infos of highway-env's single environments as gymnasium's vector environments collect them.
 
     The infos consist of parts of the given arrays, in which what is not chosen becomes 0.
@@ -248,11 +248,11 @@ def _success(is_success: Bools, stepped: Bools) -> dict[str, Any]:
     return {"is_success": is_success & stepped, "_is_success": stepped} if np.count_nonzero(stepped) else {}
 
 
-def _flag(values: Bools, wanted: type, beside: Bools | None) -> NDArray[Any]:
+def _flag(values: Bools, wanted: type, beside: Bools | None) -> Array:
     return values if wanted is bool else _without(values.astype(object), beside)
 
 
-def _tuples(values: NDArray[Any], beside: Bools | None) -> NDArray[np.object_]:
+def _tuples(values: Array, beside: Bools | None) -> NDArray[np.object_]:
     """Return each value as a tuple of one, as highway-env's multi-agent environments have it."""
     return _without(np.fromiter(zip(values.tolist(), strict=True), dtype=object), beside)
 

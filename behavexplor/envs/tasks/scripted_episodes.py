@@ -7,9 +7,8 @@ import numpy as np
 from highway_env.envs.common.action import ContinuousAction, DiscreteAction, DiscreteMetaAction
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats, Ints
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.data.npc_motion import N_COLUMNS
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
@@ -46,7 +45,7 @@ class ScriptedEpisodes:
         self._seen = self._observed(env.observation_type)
         self.observes = bool(self._seen)
         shape, kind = (env.observation_space.shape or (), env.observation_space.dtype) if self._seen else ((), None)
-        self.observations: NDArray[Any] = np.zeros((n_slots, *shape), dtype=kind)
+        self.observations: Array = np.zeros((n_slots, *shape), dtype=kind)
         self._compile(n_slots)
 
     @property
@@ -71,7 +70,7 @@ class ScriptedEpisodes:
         if not self._begin_slots(self.world, self.slots, chosen, *npcs):
             raise InputError(f"A scenario has more than {self.slots.scripts.shape[1]} NPCs, for which there is room")
 
-    def decide(self, actions: NDArray[Any], active: Bools, n_frames: int = WHOLE) -> Bools:
+    def decide(self, actions: Array, active: Bools, n_frames: int = WHOLE) -> Bools:
         """Simulate one decision in each active slot; return whether each has ended, and been truncated, (2, n_slots).
 
         At most `n_frames` frames are simulated; see `behavexplor.envs.tasks.scripted_step.step`.
@@ -195,7 +194,7 @@ class OneSlot:
         """Simulate a decision, or a part of it; see `ScriptedEpisodes.decide`."""
         self._episodes.decide(np.asarray(action)[None], _ALL, n_frames)
 
-    def observation(self) -> NDArray[Any]:
+    def observation(self) -> Array:
         """Return the observation of the current state."""
         self._episodes.observe(_ALL)
         return np.array(self._episodes.observations[0])

@@ -6,12 +6,11 @@ The reward is a sum of terms for R1-R3, progress, time and effort; see `behavexp
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats, Ints
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import ENDS, RESOLUTION, Trace
@@ -89,7 +88,7 @@ def episode_trace(
     )
 
 
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+def _read_only(array: Array) -> Array:
     array.setflags(write=False)
     return array
 

@@ -6,9 +6,8 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
 from highway_env.vehicle.kinematics import Vehicle
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.conventions import ARRIVAL_DISTANCE, PASSED_DISTANCE, STANDING_SPEED, STANDSTILL_TIME, TERMINAL
 from behavexplor.data.npc_motion import Routes, route_arrays
 from behavexplor.data.roadmap import RoadMap
@@ -62,7 +61,7 @@ class ScriptedWorld(NamedTuple):
     start: Floats  # x [m], y [m] and heading [rad] of the ego's start, shape (3,)
     target_speeds: Floats  # target speeds of meta-actions, shape (speeds,) [m/s]
     # whether each end of `behavexplor.data.trace.ENDS` terminates an episode; others truncate it
-    terminal: NDArray[np.bool_]
+    terminal: Bools
 
 
 def make_world(env: Any) -> ScriptedWorld:
