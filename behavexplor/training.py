@@ -62,27 +62,19 @@ _LAST_RATE: Final = 0.05  # least learning rate, as a share of the initial one
 
 @validated
 class TrainingConfig:
-    """The configuration of a training.
-
-    Attributes:
-        env: functional scenario.
-        algo: one of `ALGORITHMS`.
-        steps: number of decisions over all sub-environments, rounded up to whole batches of experience.
-        seed: random seed. The same seed gives the same policy on the same kind of processor.
-        envs: number of sub-environments in lock-step.
-        stage: number of steps between two saved models.
-        layers: widths of the network's hidden layers.
-    """
+    """The configuration of a training."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    env: str = "intersection-straight"
-    algo: str = "ppo"
+    env: str = "intersection-straight"  # functional scenario
+    algo: str = "ppo"  # one of `ALGORITHMS`
+    # number of decisions over all sub-environments, rounded up to whole batches of experience
     steps: Annotated[int, between(1, 10**12)] = 8_000_000
+    # random seed. The same seed gives the same policy on the same kind of processor.
     seed: Annotated[int, between(0, 2**63 - 1)] = 0
-    envs: Annotated[int, between(1, MOST_ENVS)] = 64
-    stage: Annotated[int, between(1, 10**12)] = 500_000
-    layers: tuple[int, ...] = (128, 128)
+    envs: Annotated[int, between(1, MOST_ENVS)] = 64  # number of sub-environments in lock-step
+    stage: Annotated[int, between(1, 10**12)] = 500_000  # number of steps between two saved models
+    layers: tuple[int, ...] = (128, 128)  # widths of the network's hidden layers
 
     def __post_init__(self) -> None:
         if self.env not in FUNCTIONAL_SCENARIOS:
@@ -104,17 +96,11 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class Learned:
-    """Progress of a training.
+    """Progress of a training."""
 
-    Attributes:
-        steps: number of steps so far.
-        reward: mean reward of the latest episodes.
-        ends: shares of the latest episodes by kind of end.
-    """
-
-    steps: int
-    reward: float = 0.0
-    ends: Mapping[str, float] = field(default_factory=dict)
+    steps: int  # number of steps so far
+    reward: float = 0.0  # mean reward of the latest episodes
+    ends: Mapping[str, float] = field(default_factory=dict)  # shares of the latest episodes by kind of end
 
 
 def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], None]) -> Path:

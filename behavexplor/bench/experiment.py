@@ -41,41 +41,31 @@ class _MethodEntry(MethodChoice):
 class Experiment(Conditions):
     """Every search method in every environment with every ADS, once with each seed.
 
-    Attributes:
-        name: name of the experiment and of its folder.
-        methods: search methods by their names in the tables.
-        ads: driving systems under test, as in a campaign's `ads`, in each environment, as in a campaign's `env`.
-        seeds: number of repetitions. Their seeds are `first_seed`, `first_seed` + 1, ..., the same for all campaigns.
-        first_seed: seed of the first repetition.
-        budget: number of executions of each campaign. A running time is not allowed, because results would depend on
-            the machine.
-        batch: number of candidates in flight, as in a campaign's `batch`.
-        workers: number of processes that execute the scenarios of one campaign. 0 is the campaign's own process,
-            without limits of time and memory; a third-party ADS then gets one process, in which it is confined.
-        specs: user-defined requirements, as in a campaign's `specs`.
-        reference: method that is compared with each other method; by default the first one.
-        baseline: method that each other method is compared with; empty for none.
-        groups: names of additional tables, each with the methods that it shows.
-        contrasts: names of additional families of comparisons, each with the pairs of methods that it compares.
-
     Raises:
         InputError: if a value is out of range, or if a named method is not in the experiment.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    name: str
-    methods: dict[str, MethodChoice]
+    name: str  # name of the experiment and of its folder
+    methods: dict[str, MethodChoice]  # search methods by their names in the tables
+    # driving systems under test, as in a campaign's `ads`, in each environment, as in a campaign's `env`
     ads: dict[str, tuple[str, ...]]
+    # number of repetitions. Their seeds are `first_seed`, `first_seed` + 1, ..., the same for all campaigns.
     seeds: Annotated[int, between(1, 1000)] = 5
-    first_seed: int = 1
+    first_seed: int = 1  # seed of the first repetition
+    # number of executions of each campaign. A running time is not allowed, because results would depend on the machine.
     budget: Annotated[int, between(1, 999_999_999)] = 750
-    batch: int = 8
+    batch: int = 8  # number of candidates in flight, as in a campaign's `batch`
+    # number of processes that execute the scenarios of one campaign. 0 is the campaign's own process, without limits of
+    # time and memory; a third-party ADS then gets one process, in which it is confined.
     workers: Annotated[int, between(0, 64)] = 0
-    specs: tuple[str, ...] = ()
-    reference: str = ""
-    baseline: str = ""
+    specs: tuple[str, ...] = ()  # user-defined requirements, as in a campaign's `specs`
+    reference: str = ""  # method that is compared with each other method; by default the first one
+    baseline: str = ""  # method that each other method is compared with; empty for none
+    # names of additional tables, each with the methods that it shows
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    # names of additional families of comparisons, each with the pairs of methods that it compares
     contrasts: dict[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

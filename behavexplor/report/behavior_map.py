@@ -32,16 +32,12 @@ class State:
 
 @dataclass(frozen=True)
 class Behaviors:
-    """Behaviors of the ego in some executions.
+    """Behaviors of the ego in some executions."""
 
-    Attributes:
-        states: abstract states, the slowest first.
-        labels: abstract trace of each execution by its number, as indices of `states`, one for each `TIME_STEP`.
-        places: point of each execution on the map, by its number; distances on the map approximate those of behaviors.
-    """
-
-    states: tuple[State, ...]
+    states: tuple[State, ...]  # abstract states, the slowest first
+    # abstract trace of each execution by its number, as indices of `states`, one for each `TIME_STEP`
     labels: Mapping[int, Labels]
+    # point of each execution on the map, by its number; distances on the map approximate those of behaviors
     places: Mapping[int, tuple[float, float]]
 
     def stretches(self, number: int) -> list[tuple[str, int]]:

@@ -110,18 +110,13 @@ def without(parameters: Parameters, names: Sequence[str]) -> Parameters:
 
 @dataclass(frozen=True)
 class Cause:
-    """Why the rule planner failed.
+    """Why the rule planner failed."""
 
-    Attributes:
-        primary: the weakness to blame, see `primary_cause`; "environment" if the planner without any weakness violates
-            the same spec; "unknown" if no single weakness is to blame.
-        necessary: weaknesses without which the violation does not happen, upstream first.
-        sufficient: weaknesses of the violated spec that cause the violation without any other weakness of that spec,
-            upstream first.
-    """
-
+    # the weakness to blame, see `primary_cause`; "environment" if the planner without any weakness violates the same
+    # spec; "unknown" if no single weakness is to blame
     primary: str
-    necessary: tuple[str, ...]
+    necessary: tuple[str, ...]  # weaknesses without which the violation does not happen, upstream first
+    # weaknesses of the violated spec that cause the violation without any other weakness of that spec, upstream first
     sufficient: tuple[str, ...]
 
 

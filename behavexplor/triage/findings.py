@@ -71,15 +71,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Sighting:
-    """Executions in which something was observed.
+    """Executions in which something was observed."""
 
-    Attributes:
-        count: number of executions.
-        first: number of the first of these executions; None if there are none.
-    """
-
-    count: int = 0
-    first: int | None = None
+    count: int = 0  # number of executions
+    first: int | None = None  # number of the first of these executions; None if there are none
 
     @classmethod
     def of(cls, executions: Sequence[int]) -> Self:
@@ -89,17 +84,11 @@ class Sighting:
 
 @dataclass(frozen=True)
 class WeaknessRecord:
-    """Coverage of one weakness of the rule planner by a campaign.
+    """Coverage of one weakness of the rule planner by a campaign."""
 
-    Attributes:
-        reached: executions in which the gate of the weakness was open.
-        triggered: executions in which the weakness changed the output of its module.
-        detected: failures with this weakness as the primary cause.
-    """
-
-    reached: Sighting
-    triggered: Sighting
-    detected: Sighting
+    reached: Sighting  # executions in which the gate of the weakness was open
+    triggered: Sighting  # executions in which the weakness changed the output of its module
+    detected: Sighting  # failures with this weakness as the primary cause
 
 
 @dataclass(frozen=True)
@@ -172,32 +161,20 @@ def known_findings(folder: Path) -> dict[int, Finding]:
 
 @dataclass(frozen=True, eq=False)
 class Witness:
-    """Commands that avoid a recorded collision.
+    """Commands that avoid a recorded collision."""
 
-    Attributes:
-        name: kind of evasion: "careful and competent", "ideal braking", "anticipation" or "sampled".
-        begin: time up to which the ego drives as recorded [s].
-        frequency: frequency of the commands, which is that of the simulation [Hz].
-        commands: accelerations [m/s2] and steering angles [rad], shape (T, 2).
-    """
-
-    name: str
-    begin: float
-    frequency: int
-    commands: Floats
+    name: str  # kind of evasion: "careful and competent", "ideal braking", "anticipation" or "sampled"
+    begin: float  # time up to which the ego drives as recorded [s]
+    frequency: int  # frequency of the commands, which is that of the simulation [Hz]
+    commands: Floats  # accelerations [m/s2] and steering angles [rad], shape (T, 2)
 
 
 @dataclass(frozen=True)
 class OtherDriver:
-    """A driver that avoids a recorded crash in traffic that reacts, by its actions from the start of the scenario.
+    """A driver that avoids a recorded crash in traffic that reacts, by its actions from the start of the scenario."""
 
-    Attributes:
-        name: kind of driver, such as "careful".
-        actions: its meta-actions, one for each decision, by their index in highway-env.
-    """
-
-    name: str
-    actions: tuple[int, ...]
+    name: str  # kind of driver, such as "careful"
+    actions: tuple[int, ...]  # its meta-actions, one for each decision, by their index in highway-env
 
 
 def counted(names: Iterable[str | None]) -> str:

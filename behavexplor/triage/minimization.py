@@ -43,16 +43,11 @@ ENDINGS: Final = frozenset({"crash", "hang"})  # kinds of errors by which a driv
 
 
 class Signature(NamedTuple):
-    """What an execution tells of its failure without further executions.
+    """What an execution tells of its failure without further executions."""
 
-    Attributes:
-        class_id: class of the violation; "error/" and the kind of the failure if the ADS failed; empty if the execution
-            passed.
-        fault: verdict on a collision; None for another failure.
-    """
-
+    # class of the violation; "error/" and the kind of the failure if the ADS failed; empty if the execution passed
     class_id: str
-    fault: str | None = None
+    fault: str | None = None  # verdict on a collision; None for another failure
 
 
 def signature(outcome: Trace | ADSError, specs: Sequence[Spec]) -> Signature:

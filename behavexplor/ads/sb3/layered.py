@@ -11,21 +11,16 @@ from stable_baselines3.common.policies import BasePolicy
 
 @dataclass(frozen=True)
 class Parts:
-    """The layers of a policy, with the functions between them.
+    """The layers of a policy, with the functions between them."""
 
-    Attributes:
-        trunk: layers that the heads share.
-        head: layers from there to the values of the actions, to their logits, or to the mean of a normal distribution.
-        value: layers from there to the value of a duelling network; None for any other one.
-        log_std: logarithms of the standard deviations, shape (numbers of an action,); None without.
-        draws: whether the outputs of the head are logits.
-    """
-
-    trunk: torch.nn.Sequential
+    trunk: torch.nn.Sequential  # layers that the heads share
+    # layers from there to the values of the actions, to their logits, or to the mean of a normal distribution
     head: torch.nn.Sequential
+    # layers from there to the value of a duelling network; None for any other one
     value: torch.nn.Sequential | None = None
+    # logarithms of the standard deviations, shape (numbers of an action,); None without
     log_std: torch.Tensor | None = None
-    draws: bool = False
+    draws: bool = False  # whether the outputs of the head are logits
 
 
 class LayeredPolicy(BasePolicy):

@@ -98,19 +98,14 @@ class Moments:
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics that scale observations as `VecNormalize` of Stable-Baselines3 does.
+    """Statistics that scale observations as `VecNormalize` of Stable-Baselines3 does."""
 
-    Attributes:
-        moments: moments of the observations; for observations that are dictionaries, the moments of each array that is
-            scaled, by key.
-        clip: greatest absolute value after scaling.
-        epsilon: constant added to the variance.
-        suspicions: unusual calls that loading the file with Stable-Baselines3 would make, each as a phrase.
-    """
-
+    # moments of the observations; for observations that are dictionaries, the moments of each array that is scaled, by
+    # key
     moments: Moments | Mapping[str, Moments]
-    clip: float
-    epsilon: float
+    clip: float  # greatest absolute value after scaling
+    epsilon: float  # constant added to the variance
+    # unusual calls that loading the file with Stable-Baselines3 would make, each as a phrase
     suspicions: tuple[str, ...] = ()
 
     @classmethod

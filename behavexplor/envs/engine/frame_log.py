@@ -30,15 +30,11 @@ THING: Final = record_type(
 
 
 class FrameLog(NamedTuple):
-    """The frames of the latest decision of B episodes, each with room for N vehicles and obstacles.
+    """The frames of the latest decision of B episodes, each with room for N vehicles and obstacles."""
 
-    Attributes:
-        frames: shape (B, frames) of `FRAME`.
-        things: vehicles in highway-env's order, then obstacles, shape (B, frames, N) of `THING`. What lies beyond
-            `n_things` is undefined.
-    """
-
-    frames: Records
+    frames: Records  # shape (B, frames) of `FRAME`
+    # vehicles in highway-env's order, then obstacles, shape (B, frames, N) of `THING`. What lies beyond `n_things` is
+    # undefined.
     things: Records
 
 

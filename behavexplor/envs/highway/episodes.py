@@ -52,16 +52,12 @@ class Engine(NamedTuple):
 
 
 class Actions(NamedTuple):
-    """The actions of B egos, as a choice of commands.
+    """The actions of B egos, as a choice of commands."""
 
-    Attributes:
-        commands: the commands; see `behavexplor.envs.engine.frames.give_command`, shape (n, 2). They are the same
-            at all times if the actions are discrete. Otherwise, each ego has its own.
-        choices: the number of each ego's command, shape (B,).
-    """
-
+    # the commands; see `behavexplor.envs.engine.frames.give_command`, shape (n, 2). They are the same at all times if
+    # the actions are discrete. Otherwise, each ego has its own.
     commands: Floats
-    choices: Ints
+    choices: Ints  # the number of each ego's command, shape (B,)
 
 
 @kernel_in_place
