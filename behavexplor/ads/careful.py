@@ -70,9 +70,7 @@ class CarefulDriver:
 
 
 def careful_driver(roadmap: RoadMap | None, variant: str = "") -> CarefulDriver:
-    """Make the driver.
-
-    It knows highway-env's own environments only, so `roadmap` must be None, and has no variants.
+    """Make the driver. It knows highway-env's own environments only, so `roadmap` must be None, and has no variants.
 
     Raises:
         InputError: if the environment is one of this package, or a variant is given.

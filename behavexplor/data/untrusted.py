@@ -95,9 +95,7 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
 
 
 def parse_json(text: str, what: str) -> Any:
-    """Return the value of a JSON document.
-
-    `what` says for error messages what it should be, such as "a scenario".
+    """Return the value of a JSON document. `what` says for error messages what it should be, such as "a scenario".
 
     Raises:
         InputError: if the text is too long or not JSON.
