@@ -10,8 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from behavexplor.ads.road.path import Path, ego_path, limit_at, pose_on_path, project_on_path
-from behavexplor.ads.road.steering import steer
+from behavexplor.ads.road.path import Path, ego_path, limit_at, pose_on_path, project_on_path, steer
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, as_actions, as_scenes
 from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.roadmap import RoadMap

@@ -22,9 +22,8 @@ from behavexplor.errors import InputError
 from behavexplor.judge.specs import SPECS
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, StagePart, chart, stage_parts
-from behavexplor.report.gallery import PASSED, Card, cards, minimal_name, replay_values
+from behavexplor.report.gallery import MAX_FRAMES, PASSED, Card, cards, minimal_name, replay_values
 from behavexplor.report.marks import type_color
-from behavexplor.report.packing import MAX_FRAMES
 from behavexplor.report.reading import ReportedRun
 from behavexplor.report.rendering import rendered
 from behavexplor.report.road_shapes import known_road, road_values

@@ -13,8 +13,7 @@ import numpy as np
 
 from behavexplor.ads.learned.observation import lanes_beside
 from behavexplor.ads.learned.route_table import Course
-from behavexplor.ads.road.path import limit_at, project_on_path, row_at
-from behavexplor.ads.road.steering import steer
+from behavexplor.ads.road.path import limit_at, project_on_path, row_at, steer
 from behavexplor.ads.scene_io import ACCELERATION_RANGE
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.scene import EGO, SPEED, X, Y

@@ -1,4 +1,4 @@
-"""The ego's path: its route as a reference line, with the lanes to the left and right of it."""
+"""The ego's path: its route as a reference line, with the lanes beside it, and steering along it by pure pursuit."""
 
 import math
 from collections.abc import Iterable
@@ -8,9 +8,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from behavexplor.ads.road import lane_arrays
+from behavexplor.ads.scene_io import STEERING_RANGE
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import wrapped
 from behavexplor.data.roadmap import Lane, RoadMap
+from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 from behavexplor.jit import kernel_inner
 
 SPACING: Final = 1.0  # distance between the stations of the tables of limits and neighboring lanes [m]
@@ -195,3 +197,22 @@ def point_beside(path: Path, station: float, offset: float) -> tuple[float, floa
     """Return the point at a station and an offset."""
     x, y, heading = pose_on_path(path, station)
     return x - offset * math.sin(heading), y + offset * math.cos(heading)
+
+
+LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
+LOOK_AHEAD_TIME: Final = 0.3  # growth of that distance with speed [s]
+
+
+@kernel_inner
+def steer(path: Path, scene: Floats, station: float, offset: float) -> float:
+    """Return the steering angle [rad] by pure pursuit of a point ahead, at an offset from the path.
+
+    The circle through that point is exact for highway-env's bicycle model.
+    """
+    x, y, along = pose_on_path(path, station + LOOK_AHEAD + LOOK_AHEAD_TIME * scene[EGO, SPEED])
+    dx = x - math.sin(along) * offset - scene[EGO, X]
+    dy = y + math.cos(along) * offset - scene[EGO, Y]
+    bearing = math.atan2(dy, dx) - scene[EGO, HEADING]
+    share = scene[EGO, LENGTH] / math.hypot(dx, dy)
+    wanted = math.atan(2 * share * math.sin(bearing) / (1 + share * math.cos(bearing)))
+    return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])

@@ -9,8 +9,7 @@ from behavexplor.ads.rule.control import PERIOD, LateralProfile
 from behavexplor.ads.rule.lane_choice import EgoState, cuts_in, lane_wall
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph
-from behavexplor.ads.rule.speed_motions import ACCELERATIONS, Situation, moved, stops_inside
-from behavexplor.ads.rule.speed_search import Nodes, SpeedPlan, search
+from behavexplor.ads.rule.speed_search import ACCELERATIONS, Nodes, Situation, SpeedPlan, moved, search, stops_inside
 from behavexplor.ads.rule.station_time import (
     COST,
     HARD_HIGH,

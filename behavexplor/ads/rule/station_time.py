@@ -8,10 +8,9 @@ import numpy as np
 from behavexplor.ads.road.lane_arrays import CURVATURE, direction_on_lane
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
 from behavexplor.ads.road.path import Path, project_on_path
-from behavexplor.ads.rule.beside import Box, box_on_path, is_beside
 from behavexplor.ads.rule.control import LateralProfile
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
+from behavexplor.ads.rule.prediction import Box, LaneGraph, box_on_path, find_tails, is_beside, reach
 from behavexplor.ads.rule.weaknesses import R1_1, R1_2, R1_4, R1_7, R1_8, note
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y

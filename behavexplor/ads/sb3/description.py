@@ -33,7 +33,7 @@ _HARMLESS: Final = (
     "gymnasium.wrappers.TimeLimit",
     "gymnasium.wrappers.time_limit.TimeLimit",
     "gym.wrappers.TimeLimit",
-    "gymnasium.wrappers.FlattenObservation",  # `behavexplor.ads.sb3.views` flattens if the policy's space says so
+    "gymnasium.wrappers.FlattenObservation",  # `behavexplor.ads.sb3.policy` flattens if the policy's space says so
     "gym.wrappers.FlattenObservation",
 )
 _METADATA: Final = "metadata*.json"  # of a run of rl_agents
