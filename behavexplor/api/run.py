@@ -40,9 +40,8 @@ from behavexplor.report.drawing import decisive_frame, draw, footage_of, save_an
 from behavexplor.report.reading import read_run
 from behavexplor.report.road_shapes import known_road
 from behavexplor.report.run_page import PAGE, page, written
-from behavexplor.triage.findings import Triage
+from behavexplor.triage.findings import Minimized, Triage
 from behavexplor.triage.minimization import RunMinimization
-from behavexplor.triage.minimized import Minimized
 from behavexplor.triage.run_triage import RunTriage
 
 

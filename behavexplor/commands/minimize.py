@@ -14,8 +14,8 @@ from behavexplor.commands.flags import HowToRun, Switch
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.wording import counted, say
 from behavexplor.errors import InputError, sentence
+from behavexplor.triage.findings import Minimized
 from behavexplor.triage.minimization import RunMinimization
-from behavexplor.triage.minimized import Minimized
 
 _NUMBERS = ("vehicles", "free values", "executions")
 

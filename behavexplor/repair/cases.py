@@ -26,8 +26,7 @@ from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import is_at_fault
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
-from behavexplor.triage.findings import Finding
-from behavexplor.triage.minimized import Minimized, trace_path
+from behavexplor.triage.findings import Finding, Minimized, trace_path
 
 FORMAT: Final = 1
 SUITE: Final = "suite.yaml"

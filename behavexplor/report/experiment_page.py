@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from behavexplor.bench.curves import Curve
+from behavexplor.bench.comparisons import Curve
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Summary, summary_rows

@@ -15,8 +15,7 @@ from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import R1, violation_event
 from behavexplor.report.marks import violation_place
 from behavexplor.report.reading import ReportedRun
-from behavexplor.triage.findings import Finding, counted
-from behavexplor.triage.minimized import Minimized
+from behavexplor.triage.findings import Finding, Minimized, counted
 
 Steps = Ints
 

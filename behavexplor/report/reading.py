@@ -19,8 +19,16 @@ from behavexplor.errors import InputError
 from behavexplor.judge.discovery import Discovery
 from behavexplor.judge.fault import AT_FAULT, NOT_AT_FAULT, is_at_fault
 from behavexplor.judge.specs import SPECS
-from behavexplor.triage.findings import TRIAGE, Finding, Triage, WeaknessRecord, error_finding, trace_finding
-from behavexplor.triage.minimized import Minimized, read_minimized
+from behavexplor.triage.findings import (
+    TRIAGE,
+    Finding,
+    Minimized,
+    Triage,
+    WeaknessRecord,
+    error_finding,
+    read_minimized,
+    trace_finding,
+)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from behavexplor.report.marks import type_color
 from behavexplor.report.reading import ReportedRun
 from behavexplor.report.rendering import rendered
 from behavexplor.report.road_shapes import known_road, road_values
-from behavexplor.triage.minimized import trace_path
+from behavexplor.triage.findings import trace_path
 
 PAGE: Final = "report.html"
 MOST_REPLAYS: Final = 2000  # of each run

@@ -32,8 +32,7 @@ from behavexplor.judge.specs import Spec, judge
 from behavexplor.triage.blame import blame
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.examination import STREAM, FailureEvaluator, start_evaluator
-from behavexplor.triage.findings import Finding, known_findings
-from behavexplor.triage.minimized import MINIMIZED, Minimized, known_minimized
+from behavexplor.triage.findings import MINIMIZED, Finding, Minimized, known_findings, known_minimized
 from behavexplor.triage.shrinking import shrink, size_of
 
 LIMIT: Final = 500  # executions of candidates for one failure
