@@ -220,11 +220,6 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
 
     `PPO.load(path, env=learning_env(...))` goes on training it, and `--ads` drives it as the network.
 
-    Args:
-        network: the network.
-        env: functional scenario in which it was trained.
-        path: path of the model's file, which ends with ".zip".
-
     Raises:
         InputError: if the network is none of this package's policies, or the file cannot be written.
     """

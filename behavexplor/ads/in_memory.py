@@ -38,10 +38,8 @@ class GivenDriver:
 def given_driver(given: Any) -> GivenDriver:
     """Return a driver that is given as a name, a function of one observation, an object or a model.
 
-    Args:
-        given: name as in `behavexplor.ads.loading.load_ads`, or a path; a function from one observation to one action;
-            an object with a `predict` method, see `behavexplor.ads.interface.ADS`; or a model of Stable-Baselines3,
-            whose policy is copied as it is now; or what this function has returned.
+    A name is as in `load_ads`, or a path. A model of Stable-Baselines3 gives its policy as it is now. What this
+    function has returned is returned again.
 
     Raises:
         InputError: if it is none of these.

@@ -250,12 +250,8 @@ def _to_segment(point: Floats, segment: Floats) -> float:
 def fill_stations(points: Floats, vertices: Floats, pieces: Floats, ends: Floats, stations: Floats) -> None:
     """Fill in the station of each point's nearest place, on the segments around its nearest vertex [m].
 
-    Args:
-        points: points, shape (T, 2) [m].
-        vertices: vertices of the polyline, shape (P, 2) [m].
-        pieces: direction and length [m] of each segment, shape (P - 1, 3).
-        ends: stations of the vertices [m], shape (P,).
-        stations: stations of the points [m], shape (T,); changed in place.
+    Pieces are the direction and length [m] of each segment, shape (P - 1, 3), and `ends` the stations of the vertices
+    [m].
     """
     vertex, longest = 0, _longest(pieces)
     for t in range(len(points)):

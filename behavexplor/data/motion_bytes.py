@@ -18,14 +18,9 @@ MAX_BYTES: Final = 450_000_000  # unpacked size; the largest trace has 41 bytes 
 
 
 def pack_motion(motion: Floats, resolution: float) -> Bytes:
-    """Return motion as second differences over time, byte by byte, from the lowest byte to the highest.
+    """Return motion (T, ...) as second differences over time, byte by byte from the lowest, shape (b, ..., T).
 
-    Args:
-        motion: multiples of the resolution, shape (T, ...).
-        resolution: unit of the differences.
-
-    Returns:
-        Bytes, shape (b, ..., T), of which each difference needs b.
+    The differences are in units of the resolution, of which the motion has multiples.
     """
     frames, *rest = motion.shape
     rows = np.ascontiguousarray(motion).reshape(frames, -1)
@@ -37,11 +32,6 @@ def pack_motion(motion: Floats, resolution: float) -> Bytes:
 
 def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     """Return the motion that `pack_motion` packed, a read-only array of shape (T, ...).
-
-    Args:
-        planes: bytes, shape (b, ..., T), b in [1, 8].
-        frames: number of frames T.
-        resolution: unit of the differences.
 
     Raises:
         InputError: if the bytes have another shape.
@@ -61,8 +51,7 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
 def fill_changes(motion: Floats, resolution: float, changes: Ints) -> int:
     """Fill in the second differences of motion, shape (T, n), over time; differences of shape (n, T).
 
-    Returns:
-        The number of bytes that each of them needs, at least 1.
+    Return the number of bytes that each of them needs, at least 1.
     """
     size = np.int64(0)
     for i in range(motion.shape[1]):

@@ -122,15 +122,10 @@ def fill_frames(routes: Routes, route: int, phases: Floats, n_phases: int, time:
 
 @kernel_in_place
 def fill_phases(waypoints: Floats, phases: Floats) -> int:
-    """Compute an NPC's phases of constant acceleration. It stands still in the last phase.
+    """Compute an NPC's phases of constant acceleration, and return their number. It stands in the last one.
 
-    Args:
-        waypoints: position and speed of each waypoint, shape (waypoints, 2); see `waypoint_array`.
-        phases: filled with the time at which each phase begins [s], the station [m] and speed [m/s] at that time, and
-            the acceleration [m/s2]; shape (waypoints + 1 or more, 4).
-
-    Returns:
-        The number of phases.
+    The rows, of which there must be one more than waypoints, have the time at which a phase begins [s], the station [m]
+    and speed [m/s] then, and the acceleration [m/s2].
     """
     n = 0
     time, station, speed = 0.0, waypoints[0, 0], waypoints[0, 1]

@@ -35,14 +35,7 @@ class Lane:
     junction: bool = False  # whether the lane crosses a junction
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Compute the position and heading at some stations. The lane is continued beyond its ends.
-
-        Args:
-            station: distances from the start of the lane, shape (...) [m].
-
-        Returns:
-            x [m], y [m] and heading [rad], shape (..., 3).
-        """
+        """Compute x [m], y [m] and heading [rad] at stations, shape (..., 3). The lane continues beyond its ends."""
         s = np.asarray(station, dtype=np.float64)
         heading = self.heading + self.curvature * s
         if self.curvature == 0.0:
@@ -97,14 +90,7 @@ class Route:
         return float(self.bounds[-1])
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Compute the position and heading at some stations. The outer lanes are continued beyond the route's ends.
-
-        Args:
-            station: distances from the start of the route, shape (...) [m].
-
-        Returns:
-            x [m], y [m] and heading [rad], shape (..., 3).
-        """
+        """Compute x [m], y [m] and heading [rad] at stations, (..., 3). The outer lanes continue beyond the ends."""
         s = np.asarray(station, dtype=np.float64)
         index = np.searchsorted(self.bounds[1:-1], s, side="right")
         poses = np.empty((*s.shape, 3))

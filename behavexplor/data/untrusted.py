@@ -26,13 +26,9 @@ _INTEGER: Final = "tag:yaml.org,2002:int"
 
 
 def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) -> bytes:
-    """Return the contents of a file, unless it is too large.
+    """Return the contents of a file of at most `most` bytes.
 
-    Args:
-        path: path of the file.
-        most: greatest size [bytes].
-        pipes: whether it may be a pipe, for a file that a user names. A pipe in a folder of someone else would be
-            waited for without end.
+    It may be a pipe only if a user names it (`pipes`): one in a folder of someone else would be waited for without end.
 
     Raises:
         InputError: if it is not a regular file, or too large.

@@ -202,17 +202,10 @@ def _check_times(env: gymnasium.Env[Any, Any]) -> None:
 def make_vector_env(
     env: gymnasium.Env[Any, Any], num_envs: int, changes: Mapping[str, Any], *, rewards: bool = False
 ) -> VectorEnv[Any, Any, Any] | None:
-    """Make the vector form of an environment, with autoreset disabled.
+    """Make the vector form of an environment of `make_env`, with autoreset disabled; None if it has none.
 
-    Args:
-        env: an environment that `make_env` made. The vector form of a highway-env environment begins its episodes in
-        it.
-        num_envs: number of sub-environments.
-        changes: keys of the configuration that replace those of the environment.
-        rewards: whether rewards are needed. Without them, a compiled environment takes its steps faster.
-
-    Returns:
-        The vector environment; None if the environment has none.
+    That of a highway-env environment begins its episodes in it. `changes` replace keys of its configuration. Without
+    `rewards`, a compiled environment takes its steps faster.
 
     Raises:
         InputError: if the vector form does not support the configuration.

@@ -49,11 +49,8 @@ class Pool:
 
     A scenario enters when the policy fails in it by its own fault. It leaves when an episode in it ends otherwise.
 
-    Args:
-        logical: logical scenario from which all other episodes are drawn.
-        share: probability that an episode is drawn from the pool. It is lower, in proportion, for a pool of fewer than
-            `FULL` scenarios, so that a few scenarios that cannot be mended do not fill the training.
-        scenarios: the first scenarios.
+    An episode is drawn from the pool with the probability `share`, or less, in proportion, from fewer than `FULL`
+    scenarios, so that a few that cannot be mended do not fill the training.
     """
 
     def __init__(self, logical: LogicalScenario, share: float, scenarios: Iterable[Scenario] = ()) -> None:

@@ -62,10 +62,8 @@ class ScriptedDriver:
 def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> tuple[OtherDriver | None, int, Found]:
     """Find a driver that keeps all requirements of the environment in a scenario.
 
-    Returns:
-        The first driver that keeps them, and rather one that does not stand still in the end; None if there is none.
-        The number of drivers that were tried, which is 0 if these drivers cannot drive in the environment. And what
-        that says of the crash; None if it says nothing, because others only failed in another way.
+    Return the first one, rather one that does not stand still in the end, or None; the number of drivers that were
+    tried, 0 if they cannot drive there; and what that says of the crash, None if others only failed in another way.
     """
     constant, by_chance = [f"always {name}" for name in CONSTANT], [f"by chance {i}" for i in range(1, BY_CHANCE + 1)]
     names = ["careful", *constant, *by_chance]

@@ -337,10 +337,6 @@ def known_minimized(folder: Path, findings: Mapping[int, Finding]) -> dict[int, 
 
     Left out are those whose trace is missing, and those that were minimized before triage found another fault or cause,
     which they may have lost.
-
-    Args:
-        folder: run folder.
-        findings: findings of triage by the numbers of the executions; none before triage.
     """
     return {
         number: one

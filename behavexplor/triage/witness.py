@@ -66,12 +66,9 @@ def frequency(trace: Trace) -> int:
 
 
 def recorded_commands(trace: Trace) -> Floats:
-    """Recover the commands to highway-env's bicycle model at every step, for any ADS.
+    """Recover accelerations [m/s2] and steering angles [rad] from each frame to the next, shape (T - 1, 2).
 
     This inverts `Vehicle.step` of highway-env.
-
-    Returns:
-        Accelerations [m/s2] and steering angles [rad] from each frame to the next, shape (T - 1, 2).
     """
     heading, velocity = trace.heading[:, 0], trace.velocity[:, 0]
     forward = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)

@@ -98,12 +98,8 @@ def as_decisions(actions: Ints) -> Decisions:
 def choose(preferences: Floats, accelerations: Floats, how: int, share: float) -> tuple[float, int]:
     """Return the wanted acceleration [m/s2] and the lane choice of one ego.
 
-    Args:
-        preferences: outputs of the network, shape (N_ACTIONS,).
-        accelerations: acceleration of each action that keeps the lane, shape (N_ACTIONS / N_LANE_CHOICES,) [m/s2].
-        how: `MEAN` for the mean acceleration and the most probable lane choice; `MOST_PROBABLE` for the most probable
-            action, the first of several with equal probability; `DRAWN` for an action drawn with its probability.
-        share: number in [0, 1), the share of the cumulative probabilities at which a drawn action lies.
+    By `MEAN`, it is the mean acceleration and the most probable lane choice; by `MOST_PROBABLE`, the first most
+    probable action; by `DRAWN`, the one at `share` of the cumulative probabilities, in [0, 1).
     """
     if how == MEAN:
         return _average(preferences, accelerations)

@@ -54,15 +54,11 @@ def _aligned(values: Floats) -> Floats:
 
 @kernel_inner
 def evaluate(network: DenseNetwork, rooms: Floats, rows: Ints) -> int:
-    """Compute the outputs of a network for some rows, and return the index of the outputs in `rooms`.
+    """Compute a network's outputs for some rows, shape (n,), and return their index in `rooms`.
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
 
-    Args:
-        network: network to evaluate.
-        rooms: the inputs in `rooms[0]`, and room for those of other layers, shape (2, B, greatest width); changed in
-            place.
-        rows: rows for which the outputs are computed, shape (n,).
+    `rooms`, shape (2, B, greatest width), has the inputs first, and room for other layers.
     """
     weight, bias, now = 0, 0, 0
     for layer in range(len(network.widths) - 1):
@@ -156,15 +152,6 @@ class LearnedDriver:
         deterministic: bool = True,  # noqa: ARG002 - `draw` draws
     ) -> tuple[Floats, Floats]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
-
-        Args:
-            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: state returned by the last call, shape (B, 3); None at first.
-            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-            deterministic: ignored; nothing is drawn.
-
-        Returns:
-            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
 
         Raises:
             InputError: if an array has the wrong shape.

@@ -43,11 +43,8 @@ def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
     as times, and as distances; speed of the other vehicle; time of the ego to the conflict; acceleration of the other
     vehicle.
 
-    Args:
-        course: route table, see `behavexplor.ads.learned.route_table`.
-        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
-        wanted: offset of the ego's wanted lane from the route [m], positive to the right.
-        out: array to fill, shape (N_FEATURES,).
+    The ego's wanted lane is at the offset `wanted` from the route [m], positive to the right. `out` has the shape
+    (N_FEATURES,).
     """
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     out[:] = 0.0

@@ -246,11 +246,10 @@ class RulePlanner:
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the last decisions, from the state that `predict` returned.
 
-        Returns:
-            Arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
-            `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's lane and 1 the next to the right;
-            `survived`, the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the
-            weaknesses, see `behavexplor.data.trace.weakness_names`.
+        Arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
+        `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's lane and 1 the next to the right; `survived`,
+        the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the weaknesses, see
+        `behavexplor.data.trace.weakness_names`.
         """
         memories = as_records(np.ascontiguousarray(state))
         return {_STORED_NAMES.get(name, name): memories[name] for name in _LOGGED}

@@ -198,14 +198,11 @@ def search(situation: Situation, station: float, speed: float, acceleration: flo
 def _search_below(
     bound: float, situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes
 ) -> tuple[SpeedPlan, bool]:
-    """Search among the motions whose cost does not exceed a bound.
+    """Search among the motions whose cost does not exceed a bound; return the plan, and whether it is the best.
 
     Costs never fall along a motion, so motions beyond the bound never lead to one within it, and in no bin are they
     cheaper than one within it. Without them, the search finds the same plan if its cost is within the bound. Only the
     order of the nodes changes, which matters if two costs are equal.
-
-    Returns:
-        The plan, and whether it is surely that of a search without a bound.
     """
     now, following, count = nodes.stages[0], nodes.stages[1], 1
     now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0

@@ -303,10 +303,9 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
 
 @kernel_inner
 def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
-    """Compute the stretch of the ego's path that an NPC's box occupies at each step of its way.
+    """Compute the stretch of the ego's path that an NPC's box occupies at each step; return the first and last.
 
-    Returns:
-        The first and the last step at which the box is on the path, -1 for none.
+    They are -1 if the box is never on the path.
     """
     graph, room = view.graph, view.room
     tail, start, steps = graph.tails[room.tails[way]], room.stations[way], _steps(motion, view.p)

@@ -91,12 +91,9 @@ def make_network(
 ) -> Network:
     """Convert a road network of highway-env to tables.
 
-    Args:
-        network: the road network. Its lanes are straight, sine or circular.
-        connected_lanes: whether neighbors are looked for on preceding and following lanes, too: highway-env's option
-            `neighbour_vehicles_connected_lanes`.
-        is_goal: which lanes are marked. The meaning of the mark is the environment's.
-        same_geometry: subclasses of highway-env's lanes that compute the same in another way.
+    `connected_lanes` is highway-env's option `neighbour_vehicles_connected_lanes`: neighbors are looked for on
+    preceding and following lanes, too. The meaning of the lanes marked by `is_goal` is the environment's. Lanes of the
+    classes `same_geometry` compute the same in another way.
 
     Raises:
         InputError: if a lane has another geometry.

@@ -45,11 +45,9 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin episodes; see the class for `options`.
+        """Begin episodes in all slots, or in those that the option `reset_mask` selects, shape (num_envs,).
 
-        Args:
-            seed: one seed for each sub-environment, or a single seed s that gives sub-environment i the seed s + i.
-            options: `reset_mask` selects the sub-environments to reset, shape (num_envs,).
+        A single seed s gives sub-environment i the seed s + i.
 
         Raises:
             InputError: if an option or a seed cannot be used.

@@ -46,10 +46,7 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
     `reset(options={"scenarios": [...], "reset_mask": ...})` begins episodes, and at the end of an episode
     `infos["trace"]` has its trace. Autoreset is disabled.
 
-    Args:
-        env: the environment; its episodes are used up.
-        num_envs: number of sub-environments.
-        rewards: whether rewards are needed; see `behavexplor.envs.highway.highway_vector_env.HighwayVectorEnv`.
+    The episodes of the given environment are used up.
 
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.

@@ -92,15 +92,8 @@ def begin_episodes(
 
     Return whether they have room in the slots. If not, nothing is changed.
 
-    Args:
-        world: the environment's map and rules.
-        slots: the slots, changed in place.
-        chosen: the slots, shape (E,).
-        counts: number of NPCs in each episode, shape (E,).
-        routes: row of each NPC's route, shape (n_npcs,), with the NPCs of all episodes.
-        sizes: length and width of each NPC [m], shape (n_npcs, 2).
-        waypoints: position [m] and speed [m/s] of each waypoint, padded with copies of the last one, shape
-            (n_npcs, waypoints, 2).
+    Routes are rows, shape (n_npcs,), sizes of the shape (n_npcs, 2) [m], and waypoints, positions [m] and speeds [m/s],
+    are padded with copies of the last one, shape (n_npcs, waypoints, 2).
     """
     n_npcs = 0
     for k in range(len(chosen)):
