@@ -5,7 +5,6 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from itertools import zip_longest
-from types import TracebackType
 from typing import Self, TextIO
 
 from rich.live import Live
@@ -53,15 +52,13 @@ class Display:
     def __enter__(self) -> Self:
         """Open the live screen, if there is one."""
         if self._live is not None:
-            self._live.__enter__()
+            self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the last state of the live screen on the terminal."""
         if self._live is not None:
-            self._live.__exit__(kind, error, trace)
+            self._live.stop()
 
     def show(self, progress: Progress) -> None:
         """Show the progress of the campaign."""
@@ -232,9 +229,7 @@ class Meter:
             self._bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the bar and leave its last state visible."""
         if self._bar is not None:
             self._bar.stop()

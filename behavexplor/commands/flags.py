@@ -1,4 +1,4 @@
-"""Flags that override a configuration."""
+"""What flags of several commands have in common, and flags that are made of the fields of a configuration."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,6 +18,8 @@ from behavexplor.errors import InputError
 from behavexplor.execution.executor import MOST_WORKERS, available_cores
 
 Switch = tyro.conf.FlagCreatePairsOff[bool]  # off without the flag
+RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+NewFolder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 Trust = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIGEST")]
 _METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
     "budget": "N|TIME",

@@ -56,8 +56,7 @@ class Pool:
     def __init__(self, logical: LogicalScenario, share: float, scenarios: Iterable[Scenario] = ()) -> None:
         self._logical = logical
         self._share = share
-        self._scenarios: list[Scenario] = []
-        self._known: set[Scenario] = set()
+        self._scenarios: dict[Scenario, None] = {}  # in the order in which they entered
         for scenario in scenarios:
             self.add(scenario)
 
@@ -68,23 +67,18 @@ class Pool:
     def sample(self, rng: np.random.Generator) -> Scenario:
         """Draw the scenario of an episode."""
         if self._scenarios and rng.random() < self._share * min(len(self._scenarios) / FULL, 1.0):
-            return self._scenarios[int(rng.integers(len(self._scenarios)))]
+            return list(self._scenarios)[int(rng.integers(len(self._scenarios)))]
         return self._logical.sample(rng)
 
     def add(self, scenario: Scenario) -> None:
         """Add a scenario in which the policy failed. If the pool is full, the oldest one leaves."""
-        if scenario in self._known:
-            return
-        self._known.add(scenario)
-        self._scenarios.append(scenario)
+        self._scenarios.setdefault(scenario)
         if len(self._scenarios) > MOST:
-            self._known.discard(self._scenarios.pop(0))
+            del self._scenarios[next(iter(self._scenarios))]
 
     def discard(self, scenario: Scenario) -> None:
         """Remove a scenario in which the policy did not fail by its own fault, if the pool has it."""
-        if scenario in self._known:
-            self._known.discard(scenario)
-            self._scenarios.remove(scenario)
+        self._scenarios.pop(scenario, None)
 
     @property
     def digest(self) -> str:
