@@ -6,7 +6,8 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -163,6 +164,16 @@ def _content(place: str, value: Any, reader: PickleReader) -> tuple[Any, list[st
     return content, suspicions_about(place, names)
 
 
+@contextmanager
+def opened_torch(what: str, data: bytes) -> Iterator[ZipFile]:
+    """Open a file of torch, which does not compress: it is refused if it would unpack to more bytes than it has."""
+    with ZipFile(io.BytesIO(data)) as file:
+        unpacked = sum(member.file_size for member in file.infolist())
+        if unpacked > len(data) or any(one.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for one in file.infolist()):
+            raise InputError(f"{what} would unpack to {unpacked} bytes, which torch never writes; it was not read")
+        yield file
+
+
 def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> list[str]:
     """Return the suspicions about a file of tensors: a zip file that contains a pickle."""
     if content.startswith(_OLD_TORCH):
@@ -172,9 +183,6 @@ def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> 
         )
     if not content.startswith(b"PK"):
         raise ValueError(f"its {name} is not a file that torch wrote")
-    with ZipFile(io.BytesIO(content)) as tensors:
-        unpacked = sum(member.file_size for member in tensors.infolist())
-        if unpacked > len(content):  # torch does not compress
-            raise InputError(f"{name} in {path} would unpack to {unpacked} bytes, which torch never writes")
+    with opened_torch(f"{name} in {path}", content) as tensors:
         pickled = [tensors.read(part) for part in tensors.namelist() if part.endswith(".pkl")]
     return [said for data in pickled for said in suspicions_about(name, reader.read(data)[1])]

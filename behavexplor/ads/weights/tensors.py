@@ -1,7 +1,6 @@
 """Files of weights, read without executing anything: those that torch writes, and safetensors."""
 
 import hashlib
-import io
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -9,12 +8,12 @@ from math import prod
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
-from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
+from zipfile import ZipFile
 
 import numpy as np
 from safetensors import SafetensorError, deserialize
 
-from behavexplor.ads.sb3.archive import suspicions_about
+from behavexplor.ads.sb3.archive import opened_torch, suspicions_about
 from behavexplor.ads.sb3.inert import MAX_DEPTH, MAX_PARTS, OLD_TORCH, Inert, Name, PickleReader, TooLongError
 from behavexplor.ads.sb3.normalization import as_mapping
 from behavexplor.data.array_types import Array
@@ -78,13 +77,6 @@ def read_tensors(path: Path) -> TensorFile:
         raise InputError(f"{path} is not a file that torch.save writes, or is damaged: {error}") from None
 
 
-def _check_members(path: Path, file: ZipFile, packed: int) -> None:
-    """Check the members of a file of torch, which does not compress, before anything is unpacked."""
-    unpacked = sum(member.file_size for member in file.infolist())
-    if unpacked > packed or any(one.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for one in file.infolist()):
-        raise InputError(f"{path} would unpack to {unpacked} bytes, which torch never writes; it was not read")
-
-
 def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
     """Return the tensors in what torch has written; see `read_tensors`.
 
@@ -94,8 +86,7 @@ def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
     """
     if data.count(_MEMBER) > MAX_MEMBERS:
         raise InputError(f"{path} has more than {MAX_MEMBERS} members, which no policy needs; it was not read")
-    with ZipFile(io.BytesIO(data)) as file:
-        _check_members(path, file, len(data))
+    with opened_torch(str(path), data) as file:
         names = file.namelist()
         if any("/code/" in name for name in names):
             raise InputError(f"{path} is a program of TorchScript, which is not run: {_SAVE}")
