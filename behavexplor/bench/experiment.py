@@ -167,10 +167,7 @@ def slug(name: str) -> str:
 
 
 def read_experiment(name: str) -> Experiment:
-    """Read an experiment from a file.
-
-    Args:
-        name: path of a YAML file, or name of a file in `configs/experiments/`, such as "quick".
+    """Read an experiment from a YAML file, or by the name of a file in `configs/experiments/`, such as "quick".
 
     Raises:
         InputError: if there is no such file, or if it holds no valid experiment.

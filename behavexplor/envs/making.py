@@ -126,14 +126,13 @@ def make_env(
 ) -> gymnasium.Env[Any, Any]:
     """Make an environment that runs concrete scenarios.
 
+    It takes `reset(options={"scenario": ...})`, and ends an episode with `info["trace"]`.
+
     Args:
         name: name of the environment, see `environment_id`.
         config: configuration of the environment, as far as it differs from its own.
         traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
         render_mode: what `render` returns or shows, as in gymnasium.
-
-    Returns:
-        An environment that takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
 
     Raises:
         InputError: if there is no such environment, it cannot be configured, or one driver cannot drive in it.

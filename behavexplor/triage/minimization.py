@@ -250,18 +250,9 @@ class RunMinimization:
 
     A failure in which the driver ends or blocks its process, or does so in a simpler scenario, is left as it was found.
 
-    Args:
-        run: the run folder.
-        config: its configuration, see `behavexplor.campaign.provenance.accepted`.
-        workers: number of worker processes; 0 uses this process.
-        numbers: numbers of failed executions; if there are none, the first failure of each class is chosen.
-        every: whether all failures are chosen instead.
-        afresh: whether to minimize known failures again.
-        driver: object of this process that drives in place of the driving system that the configuration names; None
-            for none.
-
-    Attributes:
-        waiting: numbers of the failures that have to be minimized.
+    Numbers are those of failed executions; without them, the first failure of each class is chosen, or `every` failure.
+    Known ones are minimized again only `afresh`. A `driver` of this process drives in place of the one that the
+    configuration names. The numbers that have to be minimized are `waiting`.
 
     Raises:
         InputError: if the folder is not a run folder, or is damaged, or an execution has no failure.

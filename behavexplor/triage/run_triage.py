@@ -38,16 +38,8 @@ TIME_LIMIT: Final = 10.0  # time limit of one failure, in units of the time limi
 class RunTriage:
     """Triage of one run.
 
-    Args:
-        run: the run folder.
-        config: its configuration, see `behavexplor.campaign.provenance.accepted`.
-        workers: number of worker processes; 0 uses this process.
-        afresh: whether to examine all failures again.
-        driver: object of this process that drives in place of the driving system that the configuration names; None
-            for none.
-
-    Attributes:
-        waiting: numbers of the failures that have to be examined.
+    Known failures are examined again only `afresh`. A `driver` of this process drives in place of the one that the
+    configuration names. The numbers of the failures that have to be examined are `waiting`.
 
     Raises:
         InputError: if the folder is not a run folder, or is damaged.

@@ -204,10 +204,6 @@ def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
 
     No code from the files is executed, unless they are trusted.
 
-    Args:
-        path: path of the file or folder; see `behavexplor.ads.sb3.description` for the files beside it.
-        trust: digests ("sha256:...") of files whose code may be executed.
-
     Raises:
         InputError: if the policy cannot be read, or only by executing code from a file that is not trusted.
     """

@@ -75,20 +75,10 @@ def advance(
 
     One kernel does all of this, because each function that is compiled on its own takes seconds more.
 
-    Args:
-        engine: the environment.
-        slots: the episodes, changed in place.
-        scratch: memory that is used within a frame.
-        outcome: changed in place.
-        chosen: whether each slot is advanced, shape (B,).
-        actions: the egos' actions.
-        stage: DECISION, in which episodes that have ended rest; BEGINNING begins episodes; LOOK observes and judges
-            those that have been begun elsewhere.
-        logs_start: whether the start is logged as the first frame.
-
-    Returns:
-        The number of these slots whose episode has ended. If a choice is none of the commands, it is REFUSED, and if
-        the vehicles of a slot would not have room in it, FULL. Nothing has changed then.
+    DECISION is a stage in which episodes that have ended rest; BEGINNING begins episodes; LOOK observes and judges
+    those that have been begun elsewhere. With `logs_start`, the start is logged as the first frame. Return the number
+    of chosen slots whose episode has ended. If a choice is none of the commands, it is REFUSED, and if the vehicles of
+    a slot would not have room in it, FULL; nothing has changed then.
     """
     refusal = _refusal(engine.task, slots, chosen, actions, stage)
     if refusal < 0:

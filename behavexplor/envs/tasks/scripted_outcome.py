@@ -53,17 +53,10 @@ def episode_trace(
     action_frames: Ints,
     end: str,
 ) -> Trace:
-    """Build the trace of a finished episode of T frames.
+    """Build the trace of a finished episode of T frames, in which the given sizes become part.
 
-    Args:
-        roadmap: the map.
-        time: time of each frame, shape (T,) [s].
-        ego: the ego's poses, shape (T,) of `POSE`.
-        motion: the NPCs' motion table, shape (T, n_npcs, 5).
-        sizes: length and width of the ego and of every NPC, shape (1 + n_npcs, 2) [m]; it becomes part of the trace.
-        actions: the commands, shape (D, A).
-        action_frames: frame at which each command was given, shape (D,).
-        end: kind of end, one of `behavexplor.data.trace.ENDS`.
+    The ego has poses, shape (T,) of `POSE`; the NPCs have a motion table, shape (T, n_npcs, 5); the actions, shape (D,
+    A), were given at some of the frames, shape (D,).
     """
     shape = len(time), len(sizes)
     position, heading, velocity = np.empty((*shape, 2)), np.empty(shape), np.empty((*shape, 2))
