@@ -32,7 +32,7 @@ from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV, NAMESPACE
 from behavexplor.ads.learned.driver import POLICY_FREQUENCY, LearnedDriver
 from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_network
-from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays
+from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MOST_ENVS
@@ -129,7 +129,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     finally:
         model.logger.close()
         venv.close()
-    write_network(folder / NETWORK, trained_network(model))
+    write_network(folder / NETWORK, trained_network(model.policy))
     return folder / NETWORK
 
 
@@ -168,15 +168,6 @@ def load_layers(model: BaseAlgorithm, layers: Layers) -> None:
     for part, (weights, bias) in zip(dense_layers(model.policy), layers, strict=True):
         part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
         part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
-
-
-def trained_network(model: BaseAlgorithm) -> TrainedNetwork:
-    """Return the actor of a model as a network.
-
-    Raises:
-        InputError: if it is no actor with dense layers and tanh.
-    """
-    return TrainedNetwork(layer_arrays(dense_layers(model.policy)))
 
 
 def _not_trained(env: str) -> InputError:

@@ -7,7 +7,6 @@ from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.learned.driver import LearnedDriver
-from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.loading import IN_MEMORY, as_driver, check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.errors import InputError, brief
@@ -86,10 +85,10 @@ def _learned(model: Any) -> GivenDriver | None:
             f"The model sees the features of learning_env through {changing[0]}, without which it cannot drive: train "
             f"it without this wrapper"
         )
-    from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415 - imports torch
+    from behavexplor.ads.sb3.dense_layers import trained_network  # noqa: PLC0415 - imports torch
     from behavexplor.ads.sb3.model import training_env  # noqa: PLC0415
 
-    driver: Any = LearnedDriver(env.roadmap, TrainedNetwork(layer_arrays(dense_layers(model.policy))))
+    driver: Any = LearnedDriver(env.roadmap, trained_network(model.policy))
     return GivenDriver(f"{IN_MEMORY}:{type(model).__name__}", driver, training_env(model)[0])
 
 

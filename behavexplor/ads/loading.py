@@ -11,7 +11,7 @@ import numpy as np
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.learned.driver import LearnedDriver
-from behavexplor.ads.learned.network_file import Rule, TrainedNetwork, read_network
+from behavexplor.ads.learned.network_file import Rule, read_network
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import WEIGHTS, Description, describe, find_model, is_policy
 from behavexplor.data.array_types import Array, Bools
@@ -139,13 +139,13 @@ def _check_features(model: Path, described: Description) -> None:
 
 def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection[str]) -> Any:
     """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3."""
-    from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415 - see `_policy`
+    from behavexplor.ads.sb3.dense_layers import trained_network  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.policy import load_network  # noqa: PLC0415
 
     if roadmap is None:
         raise InputError(f"{model} is a network of `train`, which follows a route on the roads of this package")
     network = load_network(read_archive(model), trust)
-    return LearnedDriver(roadmap, TrainedNetwork(layer_arrays(dense_layers(network)), rule))
+    return LearnedDriver(roadmap, trained_network(network, rule))
 
 
 def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:

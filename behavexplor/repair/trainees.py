@@ -17,7 +17,7 @@ from behavexplor.ads.learned.network_file import read_network, write_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
-from behavexplor.ads.sb3.dense_layers import dense_layers
+from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, OWN, describe, find_model
 from behavexplor.data.durable import new_file, write_durably
 from behavexplor.data.scripted_logical import scripted
@@ -28,7 +28,7 @@ from behavexplor.envs.sb3_vec_env import ScenarioVecEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.repair.retraining_rounds import DivergedError
-from behavexplor.training import TrainingConfig, begin_stage, load_layers, new_model, trained_network
+from behavexplor.training import TrainingConfig, begin_stage, load_layers, new_model
 
 _ENVS: Final = 64  # sub-environments for a network of `train`
 _RATE: Final = 2.5e-4  # learning rate where none is known
@@ -124,7 +124,7 @@ def _of_network(simulation: Simulation, env: str, path: Path, seed: int, envs: i
     load_layers(model, network.layers)
 
     def write(path: Path) -> None:
-        write_network(path, trained_network(model))
+        write_network(path, trained_network(model.policy))
         write_durably(path.with_suffix(OWN[0]), yaml.safe_dump({"training": {"env": env}}))
 
     return Trainee(model, venv, ".npz", _RATE, _entropy(model), True, write, scenarios)
