@@ -100,7 +100,7 @@ class Suite:
     env_config: Mapping[str, Any] = field(default_factory=dict)
     traffic: Traffic = DEFAULT  # kind of traffic in a highway-env environment
     stochastic: bool = False  # whether the driver that failed drew its actions. It does so in checks, too.
-    # SHA-256 of the files of this driver, see `behavexplor.campaign.identity.driver_digests`
+    # SHA-256 of the files of this driver, see `behavexplor.campaign.same_driver.driver_digests`
     digests: Mapping[str, str] = field(default_factory=dict)
     cases: tuple[Case, ...] = ()  # the cases in the order of their names
 
