@@ -20,7 +20,6 @@ import sb3_contrib
 import stable_baselines3
 import torch
 import yaml
-from numpy.typing import NDArray
 from pydantic import ConfigDict
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -33,8 +32,9 @@ from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV, NAMESPACE
 from behavexplor.ads.learned.driver import POLICY_FREQUENCY, LearnedDriver
 from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_network
-from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays
+from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MOST_ENVS
 from behavexplor.data.durable import check_file, folder_in, new_file, write_durably
 from behavexplor.data.untrusted import read_file
@@ -62,27 +62,19 @@ _LAST_RATE: Final = 0.05  # least learning rate, as a share of the initial one
 
 @validated
 class TrainingConfig:
-    """The configuration of a training.
-
-    Attributes:
-        env: functional scenario.
-        algo: one of `ALGORITHMS`.
-        steps: number of decisions over all sub-environments, rounded up to whole batches of experience.
-        seed: random seed. The same seed gives the same policy on the same kind of processor.
-        envs: number of sub-environments in lock-step.
-        stage: number of steps between two saved models.
-        layers: widths of the network's hidden layers.
-    """
+    """The configuration of a training."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    env: str = "intersection-straight"
-    algo: str = "ppo"
+    env: str = "intersection-straight"  # functional scenario
+    algo: str = "ppo"  # one of `ALGORITHMS`
+    # number of decisions over all sub-environments, rounded up to whole batches of experience
     steps: Annotated[int, between(1, 10**12)] = 8_000_000
+    # random seed. The same seed gives the same policy on the same kind of processor.
     seed: Annotated[int, between(0, 2**63 - 1)] = 0
-    envs: Annotated[int, between(1, MOST_ENVS)] = 64
-    stage: Annotated[int, between(1, 10**12)] = 500_000
-    layers: tuple[int, ...] = (128, 128)
+    envs: Annotated[int, between(1, MOST_ENVS)] = 64  # number of sub-environments in lock-step
+    stage: Annotated[int, between(1, 10**12)] = 500_000  # number of steps between two saved models
+    layers: tuple[int, ...] = (128, 128)  # widths of the network's hidden layers
 
     def __post_init__(self) -> None:
         if self.env not in FUNCTIONAL_SCENARIOS:
@@ -104,17 +96,11 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class Learned:
-    """Progress of a training.
+    """Progress of a training."""
 
-    Attributes:
-        steps: number of steps so far.
-        reward: mean reward of the latest episodes.
-        ends: shares of the latest episodes by kind of end.
-    """
-
-    steps: int
-    reward: float = 0.0
-    ends: Mapping[str, float] = field(default_factory=dict)
+    steps: int  # number of steps so far
+    reward: float = 0.0  # mean reward of the latest episodes
+    ends: Mapping[str, float] = field(default_factory=dict)  # shares of the latest episodes by kind of end
 
 
 def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], None]) -> Path:
@@ -143,7 +129,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     finally:
         model.logger.close()
         venv.close()
-    write_network(folder / NETWORK, trained_network(model))
+    write_network(folder / NETWORK, trained_network(model.policy))
     return folder / NETWORK
 
 
@@ -162,10 +148,7 @@ def save_model(model: BaseAlgorithm, path: Path) -> None:
 def restore_model(model: BaseAlgorithm, path: Path, otherwise: str) -> None:
     """Load a saved state into a new model. Only numbers are read from the file, never code.
 
-    Args:
-        model: the model.
-        path: file of `save_model`.
-        otherwise: what a user can do if the file cannot be read.
+    `otherwise` says what a user can do if the file cannot be read.
 
     Raises:
         InputError: if the file is damaged or belongs to another model.
@@ -185,15 +168,6 @@ def load_layers(model: BaseAlgorithm, layers: Layers) -> None:
     for part, (weights, bias) in zip(dense_layers(model.policy), layers, strict=True):
         part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
         part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
-
-
-def trained_network(model: BaseAlgorithm) -> TrainedNetwork:
-    """Return the actor of a model as a network.
-
-    Raises:
-        InputError: if it is no actor with dense layers and tanh.
-    """
-    return TrainedNetwork(layer_arrays(dense_layers(model.policy)))
 
 
 def _not_trained(env: str) -> InputError:
@@ -236,11 +210,6 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
     """Write a network as a model of Stable-Baselines3 with a new critic, and the file beside it that describes it.
 
     `PPO.load(path, env=learning_env(...))` goes on training it, and `--ads` drives it as the network.
-
-    Args:
-        network: the network.
-        env: functional scenario in which it was trained.
-        path: path of the model's file, which ends with ".zip".
 
     Raises:
         InputError: if the network is none of this package's policies, or the file cannot be written.
@@ -300,7 +269,7 @@ class TrainingReporter(BaseCallback):
         self._observe = observe
         self._ends: list[str] = []
         self._rewards: list[float] = []
-        self._sums: NDArray[np.float64] = np.zeros(0)
+        self._sums: Floats = np.zeros(0)
 
     def _on_training_start(self) -> None:
         self._sums = np.zeros(self.training_env.num_envs)

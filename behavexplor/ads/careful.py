@@ -9,11 +9,10 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.constant import with_meta_actions
 from behavexplor.ads.idm import ACCELERATION, BRAKING, EXPONENT, JAM_GAP, TIME_GAP
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
@@ -53,9 +52,9 @@ class CarefulDriver:
         self,
         observation: Floats,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002
+        episode_start: Bools | None = None,  # noqa: ARG002
         deterministic: bool = True,  # noqa: ARG002
-    ) -> tuple[NDArray[np.int64], Any]:
+    ) -> tuple[Ints, Any]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`. Observations have the shape (B, 15, 7)."""
         presence, x, y, vx, vy, cos, sin = np.moveaxis(np.asarray(observation, dtype=np.float64), -1, 0)
         present = presence[:, 1:] > 0
@@ -71,11 +70,7 @@ class CarefulDriver:
 
 
 def careful_driver(roadmap: RoadMap | None, variant: str = "") -> CarefulDriver:
-    """Make the driver.
-
-    Args:
-        roadmap: must be None, because the driver knows highway-env's own environments only.
-        variant: must be empty, because the driver has no variants.
+    """Make the driver. It knows highway-env's own environments only, so `roadmap` must be None, and has no variants.
 
     Raises:
         InputError: if the environment is one of this package, or a variant is given.
@@ -92,9 +87,7 @@ def _turned(x: Floats, y: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Flo
     return x * cos + y * sin, y * cos - x * sin
 
 
-def _follow(
-    speed: Floats, present: NDArray[np.bool_], apart: tuple[Floats, Floats], motion: tuple[Floats, Floats]
-) -> Floats:
+def _follow(speed: Floats, present: Bools, apart: tuple[Floats, Floats], motion: tuple[Floats, Floats]) -> Floats:
     """Return the accelerations of the Intelligent Driver Model, shape (B,) [m/s2]."""
     ahead, aside = apart
     is_ahead = present & (ahead > 0) & (np.abs(aside) < BESIDE)
@@ -108,12 +101,8 @@ def _follow(
 
 
 def _meets(
-    speed: Floats,
-    present: NDArray[np.bool_],
-    apart: tuple[Floats, Floats],
-    motion: tuple[Floats, Floats],
-    parallel: Floats,
-) -> NDArray[np.bool_]:
+    speed: Floats, present: Bools, apart: tuple[Floats, Floats], motion: tuple[Floats, Floats], parallel: Floats
+) -> Bools:
     """Return whether a vehicle on another way comes near soon, shape (B,)."""
     distance = np.maximum(np.hypot(*apart), 0.1)
     ahead = motion[0] - np.maximum(speed, START_SPEED)[:, None]

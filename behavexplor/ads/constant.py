@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_actions
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
@@ -19,11 +18,6 @@ DEFAULT: Final = "2,0"
 class ConstantDriver:
     """A driver that always gives the same command.
 
-    Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`; its content is ignored.
-        action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: decisions per second, 10 Hz.
-
     Args:
         acceleration: constant acceleration [m/s2].
         steering: constant steering angle [rad], positive to the right.
@@ -32,9 +26,10 @@ class ConstantDriver:
         InputError: if a value is out of range.
     """
 
+    # `{"type": "Scene"}`, see `behavexplor.data.scene`; its content is ignored
     observation: Mapping[str, Any] = OBSERVATION
-    action: Mapping[str, Any] = ACTION
-    policy_frequency: int = 10
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = 10  # decisions per second, 10 Hz
     vectorized: bool = True
 
     def __init__(self, acceleration: float, steering: float) -> None:
@@ -48,9 +43,9 @@ class ConstantDriver:
 
     def predict(
         self,
-        observation: NDArray[Any],
+        observation: Array,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002
+        episode_start: Bools | None = None,  # noqa: ARG002
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Any]:
         """Return the same command for each ego, shape (B, 2); see `behavexplor.ads.interface.ADS`."""
@@ -58,11 +53,7 @@ class ConstantDriver:
 
 
 class ConstantManeuver:
-    """A driver that always chooses the same of highway-env's meta-actions.
-
-    Args:
-        maneuver: name of the meta-action, one of `behavexplor.data.conventions.MANEUVERS`.
-    """
+    """A driver that always chooses the same of highway-env's meta-actions, one of `MANEUVERS`."""
 
     vectorized: bool = True
 
@@ -77,9 +68,9 @@ class ConstantManeuver:
         self,
         observation: Any,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002
-    ) -> tuple[NDArray[np.int64], Any]:
+    ) -> tuple[Ints, Any]:
         """Return the same meta-action for each ego, shape (B,); see `behavexplor.ads.interface.ADS`."""
         count = len(observation) if episode_start is None else len(episode_start)
         return np.full(count, self._index), state

@@ -9,12 +9,10 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behavexplor.ads.road.path import Path, ego_path, limit_at, pose_on_path, project_on_path
-from behavexplor.ads.road.steering import steer
+from behavexplor.ads.road.path import Path, ego_path, limit_at, pose_on_path, project_on_path, steer
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, as_actions, as_scenes
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.errors import InputError
@@ -29,20 +27,11 @@ PERIOD: Final = 0.1  # time between decisions [s]
 
 
 class IDMDriver:
-    """A driver that follows the center line of its route at the speed given by the Intelligent Driver Model.
+    """A driver that follows the center line of its route at the speed given by the Intelligent Driver Model."""
 
-    Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
-        action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: decisions per second, 10 Hz.
-
-    Args:
-        roadmap: road map with the ego's route.
-    """
-
-    observation: Mapping[str, Any] = OBSERVATION
-    action: Mapping[str, Any] = ACTION
-    policy_frequency: int = round(1 / PERIOD)
+    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = round(1 / PERIOD)  # decisions per second, 10 Hz
     vectorized: bool = True
 
     def __init__(self, roadmap: RoadMap) -> None:
@@ -52,16 +41,10 @@ class IDMDriver:
         self,
         observation: Floats,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002
+        episode_start: Bools | None = None,  # noqa: ARG002
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Any]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
-
-        Args:
-            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: returned unchanged; the model has no memory.
-            episode_start: ignored.
-            deterministic: ignored; the model is always deterministic.
 
         Raises:
             InputError: if the observation has the wrong shape.
@@ -73,11 +56,7 @@ class IDMDriver:
 
 
 def idm_driver(roadmap: RoadMap, variant: str = "") -> IDMDriver:
-    """Make the driver.
-
-    Args:
-        roadmap: road map with the ego's route.
-        variant: must be empty, because the model has no variants.
+    """Make the driver, which has no variants.
 
     Raises:
         InputError: if a variant is given.

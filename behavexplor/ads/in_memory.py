@@ -7,7 +7,6 @@ from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.learned.driver import LearnedDriver
-from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.loading import IN_MEMORY, as_driver, check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.errors import InputError, brief
@@ -17,20 +16,14 @@ _HARMLESS: Final = ("VecMonitor", "VecCheckNan")  # wrappers of Stable-Baselines
 
 @dataclass(frozen=True)
 class GivenDriver:
-    """A driving system as a user of the Python interface gives it.
+    """A driving system as a user of the Python interface gives it."""
 
-    Attributes:
-        name: name of the driver in a run's configuration. Any process can load the driver by it, unless the name
-            begins with `behavexplor.ads.loading.IN_MEMORY`.
-        driver: the driver itself; None if it is given by name.
-        env: environment in which a model in memory was trained; None if unknown.
-        is_named: whether the user gave its name.
-    """
-
+    # name of the driver in a run's configuration. Any process can load the driver by it, unless the name begins with
+    # `behavexplor.ads.loading.IN_MEMORY`.
     name: str
-    driver: ADS | None = None
-    env: str | None = None
-    is_named: bool = False
+    driver: ADS | None = None  # the driver itself; None if it is given by name
+    env: str | None = None  # environment in which a model in memory was trained; None if unknown
+    is_named: bool = False  # whether the user gave its name
 
     def trained_in(self, env: Any) -> Any:
         """Return the environment that was chosen, or else that in which the driver was trained; None if unknown.
@@ -44,10 +37,8 @@ class GivenDriver:
 def given_driver(given: Any) -> GivenDriver:
     """Return a driver that is given as a name, a function of one observation, an object or a model.
 
-    Args:
-        given: name as in `behavexplor.ads.loading.load_ads`, or a path; a function from one observation to one action;
-            an object with a `predict` method, see `behavexplor.ads.interface.ADS`; or a model of Stable-Baselines3,
-            whose policy is copied as it is now; or what this function has returned.
+    A name is as in `load_ads`, or a path. A model of Stable-Baselines3 gives its policy as it is now. What this
+    function has returned is returned again.
 
     Raises:
         InputError: if it is none of these.
@@ -94,10 +85,10 @@ def _learned(model: Any) -> GivenDriver | None:
             f"The model sees the features of learning_env through {changing[0]}, without which it cannot drive: train "
             f"it without this wrapper"
         )
-    from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415 - imports torch
+    from behavexplor.ads.sb3.dense_layers import trained_network  # noqa: PLC0415 - imports torch
     from behavexplor.ads.sb3.model import training_env  # noqa: PLC0415
 
-    driver: Any = LearnedDriver(env.roadmap, TrainedNetwork(layer_arrays(dense_layers(model.policy))))
+    driver: Any = LearnedDriver(env.roadmap, trained_network(model.policy))
     return GivenDriver(f"{IN_MEMORY}:{type(model).__name__}", driver, training_env(model)[0])
 
 

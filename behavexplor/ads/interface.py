@@ -7,8 +7,7 @@ trained policy becomes an ADS as soon as it has the attributes that define its o
 from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
+from behavexplor.data.array_types import Array, Bools, Floats
 
 
 @runtime_checkable
@@ -43,12 +42,8 @@ class ADS(Protocol):
         ...
 
     def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[Any], Any]:
+        self, observation: Any, state: Any = None, episode_start: Bools | None = None, deterministic: bool = True
+    ) -> tuple[Array, Any]:
         """Choose the actions of a batch of egos.
 
         Args:
@@ -75,16 +70,10 @@ class StochasticADS(Protocol):
 
     noise: int
 
-    def draw(
-        self, observation: Any, state: Any, episode_start: NDArray[np.bool_] | None, noise: NDArray[np.float64]
-    ) -> tuple[NDArray[Any], Any]:
-        """Draw the actions of a batch of egos; see `ADS.predict`.
+    def draw(self, observation: Any, state: Any, episode_start: Bools | None, noise: Floats) -> tuple[Array, Any]:
+        """Draw the actions of a batch of egos by independent uniform numbers in [0, 1), shape (B, `noise`).
 
-        Args:
-            observation: see `ADS.predict`.
-            state: see `ADS.predict`.
-            episode_start: see `ADS.predict`.
-            noise: independent uniform numbers in [0, 1), shape (B, `noise`). The same numbers give the same actions.
+        The same numbers give the same actions. The rest is that of `ADS.predict`.
         """
         ...
 
@@ -93,7 +82,7 @@ class StochasticADS(Protocol):
 class DecisionLog(Protocol):
     """An ADS that also reports its latest decisions, which become part of the trace."""
 
-    def log(self, state: Any) -> Mapping[str, NDArray[Any]]:
+    def log(self, state: Any) -> Mapping[str, Array]:
         """Return the last decisions by name, from the state that `predict` returned.
 
         Returns:

@@ -8,13 +8,13 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.learned.driver import LearnedDriver
-from behavexplor.ads.learned.network_file import Rule, TrainedNetwork, read_network
+from behavexplor.ads.learned.network_file import Rule, read_network
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import WEIGHTS, Description, describe, find_model, is_policy
+from behavexplor.data.array_types import Array, Bools
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.target import Activation
@@ -132,28 +132,20 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activat
 
 
 def _check_features(model: Path, described: Description) -> None:
-    """Refuse a network of `train` that is described as seeing anything but the features.
-
-    Raises:
-        InputError: if its features would be scaled or stacked.
-    """
+    """Refuse a network of `train` that is described as seeing anything but the features."""
     if described.statistics is not None or described.frame_stack > 1:
         raise InputError(f"{model} is described as a network of `train`, whose features are neither scaled nor stacked")
 
 
 def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection[str]) -> Any:
-    """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3.
-
-    Raises:
-        InputError: if it cannot drive here.
-    """
-    from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415 - see `_policy`
+    """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3."""
+    from behavexplor.ads.sb3.dense_layers import trained_network  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.policy import load_network  # noqa: PLC0415
 
     if roadmap is None:
         raise InputError(f"{model} is a network of `train`, which follows a route on the roads of this package")
     network = load_network(read_archive(model), trust)
-    return LearnedDriver(roadmap, TrainedNetwork(layer_arrays(dense_layers(network)), rule))
+    return LearnedDriver(roadmap, trained_network(network, rule))
 
 
 def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
@@ -170,11 +162,7 @@ def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
 
 
 def as_driver(found: Any) -> ADS | None:
-    """Return an object with a `predict` method as it is, and a function of one observation as a driver.
-
-    Returns:
-        The driver; None for anything else, such as a class.
-    """
+    """Return an object that predicts as it is, a function of one observation as a driver, and None for others."""
     if isinstance(found, type):
         return None
     if callable(getattr(found, "predict", None)):
@@ -207,12 +195,6 @@ class FunctionDriver:
 
     Attributes of the function that declare its observations and actions (`DECLARED`) are those of the driver. Without
     them, it observes and acts as the environment does by default.
-
-    Args:
-        function: the function.
-
-    Attributes:
-        is_function: True, so that messages speak of a function instead of `predict`.
     """
 
     vectorized = False
@@ -228,15 +210,15 @@ class FunctionDriver:
         self,
         observation: Observation,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - the function keeps nothing
+        episode_start: Bools | None = None,  # noqa: ARG002 - the function keeps nothing
         deterministic: bool = True,  # noqa: ARG002
-    ) -> tuple[NDArray[Any], Any]:
+    ) -> tuple[Array, Any]:
         """Choose the action of the only ego; see `behavexplor.ads.interface.ADS`."""
         action = self._function(mapped(_first, observation))
         return _row(action), state
 
 
-def _row(action: Any) -> NDArray[Any]:
+def _row(action: Any) -> Array:
     """Return an action as a batch of one. An answer that cannot be an array is kept, and refused by its check."""
     try:
         return np.asarray(action)[None]
@@ -246,8 +228,8 @@ def _row(action: Any) -> NDArray[Any]:
         return kept
 
 
-def _first(rows: NDArray[Any]) -> NDArray[Any]:
-    first: NDArray[Any] = rows[0]
+def _first(rows: Array) -> Array:
+    first: Array = rows[0]
     return first
 
 

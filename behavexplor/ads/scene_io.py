@@ -5,9 +5,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.scene import N_COLUMNS
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place, kernel_inner
@@ -24,11 +23,8 @@ ACTION: Final[Mapping[str, Any]] = MappingProxyType(
 )
 
 
-def as_scenes(observation: NDArray[Any]) -> Floats:
-    """Return an observation as scenes, rounded to `RESOLUTION`.
-
-    Args:
-        observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
+def as_scenes(observation: Array) -> Floats:
+    """Return an observation as scenes, shape (B, 1 + n, 8), rounded to `RESOLUTION`.
 
     Raises:
         InputError: if the observation has another shape.
@@ -46,13 +42,8 @@ def _round(numbers: Floats) -> None:
         numbers[i] = np.rint(numbers[i] / RESOLUTION) * RESOLUTION
 
 
-def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Floats:
-    """Return the memory as a new, writable array: zeros at first, and in rows that begin an episode.
-
-    Args:
-        state: state returned by the last call of `predict`; None at first.
-        episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-        shape: shape of the memory, (B, numbers remembered for each ego).
+def as_memory(state: Floats | None, episode_start: Bools | None, shape: tuple[int, int]) -> Floats:
+    """Return the memory as a new array of a shape (B, n): zeros at first, and in rows that begin an episode.
 
     Raises:
         InputError: if an array has another shape.

@@ -22,11 +22,7 @@ from behavexplor.execution.start import fewest_workers
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C has ended a campaign. The message says how to continue it.
-
-    Attributes:
-        folder: the run folder.
-    """
+    """Ctrl-C has ended the campaign in `folder`, the run folder. The message says how to continue it."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(f"Continue with behavexplor.open_run({str(folder)!r}, driver).resume()")
@@ -45,18 +41,7 @@ def conduct(
 ) -> None:
     """Conduct a campaign until its budget is used up.
 
-    Args:
-        config: its configuration.
-        folder: its run folder.
-        given: its driver.
-        resume: whether to resume the campaign in the folder.
-        workers: see `behavexplor.find_failures`.
-        stop_after: see `behavexplor.find_failures`.
-        progress: see `behavexplor.find_failures`.
-
-    Raises:
-        InputError: see `behavexplor.campaign.opening.opened`.
-        Interrupted: after Ctrl-C.
+    It raises what `behavexplor.campaign.opening.opened` does, and `Interrupted` after Ctrl-C.
     """
     if stop_after is not None and stop_after < 1:
         raise InputError(f"stop_after={stop_after} must be at least 1")
@@ -78,12 +63,7 @@ def conduct(
 
 
 def worker_count(given: GivenDriver, target: Target, workers: int | None) -> int:
-    """Return the number of worker processes.
-
-    Args:
-        given: the driver.
-        target: its name and its environment.
-        workers: number of worker processes that was asked for; None for as few as possible.
+    """Return the number of worker processes: the one that was asked for, or as few as possible.
 
     Raises:
         InputError: if there cannot be that many, or the driver cannot drive in them.

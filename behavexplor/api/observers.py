@@ -39,11 +39,9 @@ def in_notebook() -> bool:
 
 @contextmanager
 def observed(progress: bool | Observer | None, budget: Budget) -> Iterator[Observer]:
-    """Return a function that shows the progress of a campaign.
+    """Return a function that shows the progress of a campaign: the given one, or our own if asked for.
 
-    Args:
-        progress: the function itself; or whether progress is shown; None to show it in notebooks only.
-        budget: budget of the campaign.
+    None shows it in notebooks only.
     """
     if callable(progress):
         yield progress

@@ -10,12 +10,12 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
+import gymnasium
 from PIL import Image
 
 from behavexplor.ads.in_memory import GivenDriver, given_driver
 from behavexplor.api.conducting import conduct, worker_count
 from behavexplor.api.dataframes import frame_of
-from behavexplor.api.episode import Episode
 from behavexplor.api.observers import Observer
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.judgment import Repetition, repeat_execution
@@ -31,6 +31,8 @@ from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import simulation_of
 from behavexplor.execution.executor import Executor
+from behavexplor.execution.rollout import EpisodeDriver
+from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import fewest_workers, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
@@ -38,10 +40,39 @@ from behavexplor.report.drawing import decisive_frame, draw, footage_of, save_an
 from behavexplor.report.reading import read_run
 from behavexplor.report.road_shapes import known_road
 from behavexplor.report.run_page import PAGE, page, written
-from behavexplor.triage.findings import Triage
+from behavexplor.triage.findings import Minimized, Triage
 from behavexplor.triage.minimization import RunMinimization
-from behavexplor.triage.minimized import Minimized
 from behavexplor.triage.run_triage import RunTriage
+
+
+class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """The environment in which a scenario was executed, as the driver saw it. Each `reset` begins the scenario.
+
+    Rendering and `unwrapped` are those of the environment. At the end of the episode, `info["trace"]` is its trace.
+    """
+
+    def __init__(self, simulation: Simulation, scenario: Scenario) -> None:
+        super().__init__(simulation.env)
+        self._scenario, self._simulation = scenario, simulation
+        self._driver: EpisodeDriver | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin the scenario, or the one in `options`."""
+        scenario = (options or {}).get("scenario", self._scenario)
+        self._driver = EpisodeDriver(self._simulation.driver(1), self.action_space, scenario)
+        return self.env.reset(seed=seed, options={**(options or {}), "scenario": scenario})
+
+    def driver(self, observation: Any) -> Any:
+        """Return the action of the run's driver after an observation of this episode.
+
+        Raises:
+            InputError: if no episode has begun.
+            behavexplor.execution.executor.ADSError: if the driver fails.
+        """
+        if self._driver is None:
+            raise InputError("The episode has not begun: call reset first")
+        return self._driver(observation)
+
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -146,9 +177,6 @@ class Run:
         Args:
             runs: keys of the code that would be run, see `behavexplor.campaign.provenance`.
             goes_on: whether the campaign is to go on.
-
-        Raises:
-            InputError: if the folder names code that the user has not agreed to.
         """
         given = self._given
         consent = replace(self._consent, names=(given.name,) if given.is_named or given.driver is not None else ())

@@ -32,35 +32,14 @@ class MethodChoice:
 
 @dataclass(frozen=True)
 class _MethodEntry(MethodChoice):
-    """A search method in an experiment's file, which may name a campaign's configuration file or preset instead.
+    """A search method in an experiment's file, which may name a campaign's configuration file or preset instead."""
 
-    Attributes:
-        config: configuration file or preset; None if the entry itself gives the method and its options.
-    """
-
-    config: str | None = None
+    config: str | None = None  # configuration file or preset; None if the entry itself gives the method and its options
 
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment(Conditions):
     """Every search method in every environment with every ADS, once with each seed.
-
-    Attributes:
-        name: name of the experiment and of its folder.
-        methods: search methods by their names in the tables.
-        ads: driving systems under test, as in a campaign's `ads`, in each environment, as in a campaign's `env`.
-        seeds: number of repetitions. Their seeds are `first_seed`, `first_seed` + 1, ..., the same for all campaigns.
-        first_seed: seed of the first repetition.
-        budget: number of executions of each campaign. A running time is not allowed, because results would depend on
-            the machine.
-        batch: number of candidates in flight, as in a campaign's `batch`.
-        workers: number of processes that execute the scenarios of one campaign. 0 is the campaign's own process,
-            without limits of time and memory; a third-party ADS then gets one process, in which it is confined.
-        specs: user-defined requirements, as in a campaign's `specs`.
-        reference: method that is compared with each other method; by default the first one.
-        baseline: method that each other method is compared with; empty for none.
-        groups: names of additional tables, each with the methods that it shows.
-        contrasts: names of additional families of comparisons, each with the pairs of methods that it compares.
 
     Raises:
         InputError: if a value is out of range, or if a named method is not in the experiment.
@@ -68,18 +47,25 @@ class Experiment(Conditions):
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    name: str
-    methods: dict[str, MethodChoice]
+    name: str  # name of the experiment and of its folder
+    methods: dict[str, MethodChoice]  # search methods by their names in the tables
+    # driving systems under test, as in a campaign's `ads`, in each environment, as in a campaign's `env`
     ads: dict[str, tuple[str, ...]]
+    # number of repetitions. Their seeds are `first_seed`, `first_seed` + 1, ..., the same for all campaigns.
     seeds: Annotated[int, between(1, 1000)] = 5
-    first_seed: int = 1
+    first_seed: int = 1  # seed of the first repetition
+    # number of executions of each campaign. A running time is not allowed, because results would depend on the machine.
     budget: Annotated[int, between(1, 999_999_999)] = 750
-    batch: int = 8
+    batch: int = 8  # number of candidates in flight, as in a campaign's `batch`
+    # number of processes that execute the scenarios of one campaign. 0 is the campaign's own process, without limits of
+    # time and memory; a third-party ADS then gets one process, in which it is confined.
     workers: Annotated[int, between(0, 64)] = 0
-    specs: tuple[str, ...] = ()
-    reference: str = ""
-    baseline: str = ""
+    specs: tuple[str, ...] = ()  # user-defined requirements, as in a campaign's `specs`
+    reference: str = ""  # method that is compared with each other method; by default the first one
+    baseline: str = ""  # method that each other method is compared with; empty for none
+    # names of additional tables, each with the methods that it shows
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    # names of additional families of comparisons, each with the pairs of methods that it compares
     contrasts: dict[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -157,21 +143,13 @@ class Experiment(Conditions):
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One campaign of an experiment.
+    """One campaign of an experiment."""
 
-    Attributes:
-        env: environment.
-        ads: driving system under test.
-        method: name of the method in the experiment.
-        seed: seed of the campaign.
-        config: configuration of the campaign.
-    """
-
-    env: str
-    ads: str
-    method: str
-    seed: int
-    config: CampaignConfig = field(hash=False)
+    env: str  # environment
+    ads: str  # driving system under test
+    method: str  # name of the method in the experiment
+    seed: int  # seed of the campaign
+    config: CampaignConfig = field(hash=False)  # configuration of the campaign
 
     @property
     def folder(self) -> Path:
@@ -189,10 +167,7 @@ def slug(name: str) -> str:
 
 
 def read_experiment(name: str) -> Experiment:
-    """Read an experiment from a file.
-
-    Args:
-        name: path of a YAML file, or name of a file in `configs/experiments/`, such as "quick".
+    """Read an experiment from a YAML file, or by the name of a file in `configs/experiments/`, such as "quick".
 
     Raises:
         InputError: if there is no such file, or if it holds no valid experiment.

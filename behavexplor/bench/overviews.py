@@ -40,10 +40,7 @@ _MEANING = (
 def overviews(experiment: Experiment, summaries: Sequence[Summary], cut: EqualTime | None) -> list[Table]:
     """Return the means of each figure in which methods are compared, and the effect sizes; none for one scenario.
 
-    Args:
-        experiment: the experiment.
-        summaries: summaries of its finished campaigns.
-        cut: these campaigns in equal time, whose means get tables, too; None if a time was not measured.
+    `cut` has the same campaigns in equal time, whose means get tables, too; None if a time was not measured.
     """
     if len(experiment.places) == 1:
         return []
@@ -191,17 +188,11 @@ def _correlated(found: Sequence[Summary]) -> tuple[Value, ...]:
 
 
 class Forecast(NamedTuple):
-    """A forecast and what came of it.
+    """A forecast and what came of it."""
 
-    Attributes:
-        early: estimates when the forecast was made.
-        new: new classes in the following executions, as a share of these executions.
-        total: number of classes that were found in the end.
-    """
-
-    early: Discovery
-    new: float
-    total: int
+    early: Discovery  # estimates when the forecast was made
+    new: float  # new classes in the following executions, as a share of these executions
+    total: int  # number of classes that were found in the end
 
     @property
     def holds(self) -> bool:

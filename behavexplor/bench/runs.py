@@ -1,20 +1,29 @@
-"""The runs of an experiment: their states, a runner that executes the unfinished runs, and a forecast of its time."""
+"""The runs of an experiment: their states, a runner that executes the unfinished ones, and a forecast of its time.
 
+Its service runs whole campaigns in worker processes and on clusters.
+"""
+
+import io
+import json
 import math
+import tarfile
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from tempfile import TemporaryDirectory
+from typing import Any, Final
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from behavexplor.bench.campaign_service import RUN, campaign_recipe, campaign_request, take_outcome
 from behavexplor.bench.experiment import Experiment, PlannedRun
-from behavexplor.campaign.config import CampaignConfig, check_revision, stored_config
+from behavexplor.campaign.campaign import Campaign, ExecutionError
+from behavexplor.campaign.config import CampaignConfig, campaign_config, check_revision, stored_config
+from behavexplor.campaign.opening import opened
 from behavexplor.campaign.progress import executing_and_analysing
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.record import DATABASE
@@ -22,11 +31,138 @@ from behavexplor.campaign.store import Store
 from behavexplor.data.durable import folder_in
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
-from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.evaluator import EXECUTE, evaluator_recipe
 from behavexplor.execution.executor import ADSError, Executor
+from behavexplor.execution.fingerprint import FINGERPRINT, machine_fingerprint
 from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.ray_cluster import RayExecutor
+from behavexplor.execution.service import Recipe, Service
 from behavexplor.execution.start import fewest_workers, logical_of_target, start_executor
+
+RUN: Final = "run"  # name of the service's function
+_PRELOAD: Final = ("behavexplor.bench.runs", "behavexplor.envs.driving", "sklearn.cluster")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a campaign."""
+
+    finished: bool  # whether the campaign is complete
+    failure: str | None = None  # sentence on why the campaign failed; None if it did not
+    warnings: tuple[str, ...] = ()  # warnings about the ADS, each of them a sentence
+
+
+class CampaignService(Service):
+    """Runs one whole campaign for each call, and stops it on request."""
+
+    def __init__(self) -> None:
+        self.functions: Mapping[str, Callable[[bytes], bytes]] = {
+            RUN: self.run,
+            FINGERPRINT: lambda ads: machine_fingerprint(json.loads(ads)),
+        }
+        self._campaign: Campaign | None = None
+        self._stopping = False
+
+    def stop(self) -> None:
+        """End the campaign after the current execution, or before the first one if it has not begun."""
+        self._stopping = True
+        if self._campaign is not None:
+            self._campaign.stop()
+
+    def run(self, request: bytes) -> bytes:
+        """Run or resume a campaign.
+
+        Returns:
+            An `Outcome` as JSON and a newline, followed by the packed run folder if the request has no folder on this
+            machine.
+        """
+        head, _, packed = request.partition(b"\n")
+        values = json.loads(head)
+        config, workers = campaign_config(values["config"]), values["workers"]
+        if values["folder"] is not None:
+            return _to_json(self.run_in(config, Path(values["folder"]), workers)) + b"\n"
+        with TemporaryDirectory() as scratch:
+            folder = Path(scratch) / "run"
+            unpack(packed, folder)
+            outcome = self.run_in(config, folder, workers)
+            return _to_json(outcome) + b"\n" + pack(folder)
+
+    def run_in(self, config: CampaignConfig, folder: Path, workers: int) -> Outcome:
+        """Run or resume a campaign in a run folder."""
+        warnings: list[str] = []
+        try:
+            finished = self._run(config, folder, workers, warnings)
+        except (InputError, ExecutionError) as error:
+            return Outcome(finished=False, failure=str(error), warnings=tuple(warnings))
+        return Outcome(finished, warnings=tuple(warnings))
+
+    def _run(self, config: CampaignConfig, folder: Path, workers: int, warnings: list[str]) -> bool:
+        workers = max(workers, fewest_workers(config.target))
+        with opened(config, folder, workers, resume=(folder / DATABASE).is_file()) as ready:
+            self._campaign = ready.campaign
+            if self._stopping:
+                ready.campaign.stop()
+            warnings += ready.warnings
+            threadpool_limits(1)  # includes libraries that the ADS has loaded
+            ready.campaign.run(lambda _: None)
+            return not ready.campaign.stopping
+
+
+def campaign_recipe(targets: Iterable[Target]) -> Recipe:
+    """Return the recipe by which worker processes make the service. Each process runs a single campaign."""
+    modules = dict.fromkeys(module for target in targets for module in evaluator_recipe(target).preload)
+    name = f"{CampaignService.__module__}:{CampaignService.__qualname__}"
+    return Recipe(name, preload=(*_PRELOAD, *modules), long_calls=True)
+
+
+def campaign_request(config: CampaignConfig, folder: Path, workers: int, *, remote: bool) -> bytes:
+    """Return the request for `CampaignService.run`.
+
+    A `remote` campaign may run on a machine without access to the folder, so the folder's contents are part of the
+    request.
+    """
+    place = None if remote else str(folder.resolve())
+    head = {"config": {**asdict(config)}, "folder": place, "workers": workers}
+    return json.dumps(head).encode() + b"\n" + (pack(folder) if remote else b"")
+
+
+def take_outcome(answer: bytes, folder: Path) -> Outcome:
+    """Return the outcome in an answer. If the answer has a packed run folder, write its files to the run folder."""
+    head, _, packed = answer.partition(b"\n")
+    if packed:
+        unpack(packed, folder)
+    values: dict[str, Any] = json.loads(head)
+    return Outcome(values["finished"], values["failure"], tuple(values["warnings"]))
+
+
+def pack(folder: Path) -> bytes:
+    """Return the regular files of a run folder as a tar archive; empty if there is no such folder."""
+    if not folder.is_dir():
+        return b""
+    data = io.BytesIO()
+    with tarfile.open(fileobj=data, mode="w") as archive:
+        for path in sorted(
+            path for path in folder.rglob("*") if path.is_file() and not path.is_symlink() and path.suffix != ".lock"
+        ):
+            archive.add(path, path.relative_to(folder).as_posix(), recursive=False)
+    return data.getvalue()
+
+
+def unpack(packed: bytes, folder: Path) -> None:
+    """Write the files of a packed run folder, each file atomically."""
+    if not packed:
+        return
+    with TemporaryDirectory(dir=folder_in(folder.parent), prefix=".unpacking-") as scratch:
+        with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+            archive.extractall(scratch, filter="data")
+        for path in sorted(path for path in Path(scratch).rglob("*") if path.is_file()):
+            inner = path.relative_to(scratch)
+            path.replace(folder_in(folder, *inner.parts[:-1]) / inner.name)
+
+
+def _to_json(outcome: Outcome) -> bytes:
+    return json.dumps(asdict(outcome)).encode()
+
 
 TRIAL: Final = 10  # number of timed executions
 _WARMING: Final = 2  # number of executions before them, which compile kernels
@@ -35,38 +171,23 @@ _LOOK_SECONDS: Final = 0.5  # interval at which the run folders are checked [s]
 
 @dataclass(frozen=True)
 class RunState:
-    """State of a run.
+    """State of a run."""
 
-    Attributes:
-        executions: number of stored executions.
-        finished: whether the run is complete.
-    """
-
-    executions: int
-    finished: bool
+    executions: int  # number of stored executions
+    finished: bool  # whether the run is complete
 
 
 @dataclass(frozen=True)
 class ExperimentProgress:
-    """Progress of an experiment.
+    """Progress of an experiment."""
 
-    Attributes:
-        runs: number of runs.
-        finished: number of finished runs.
-        failed: failed runs, each with its reason.
-        executions: number of stored executions of all runs.
-        total: expected number of executions of all runs at the end.
-        left: estimated remaining time [s]; None if unknown.
-        warnings: warnings about the driving systems, one sentence each.
-    """
-
-    runs: int
-    finished: int = 0
-    failed: Mapping[PlannedRun, str] = field(default_factory=dict)
-    executions: int = 0
-    total: int = 0
-    left: float | None = None
-    warnings: tuple[str, ...] = ()
+    runs: int  # number of runs
+    finished: int = 0  # number of finished runs
+    failed: Mapping[PlannedRun, str] = field(default_factory=dict)  # failed runs, each with its reason
+    executions: int = 0  # number of stored executions of all runs
+    total: int = 0  # expected number of executions of all runs at the end
+    left: float | None = None  # estimated remaining time [s]; None if unknown
+    warnings: tuple[str, ...] = ()  # warnings about the driving systems, one sentence each
 
 
 def run_state(run: PlannedRun, root: Path) -> RunState:
@@ -89,11 +210,6 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
 def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> None:
     """Refuse a stored campaign that is not that of a run. Its budget may differ.
 
-    Args:
-        stored: configuration of the stored campaign.
-        run: the run.
-        what: name of the stored campaign for the message, such as its run folder.
-
     Raises:
         InputError: if the campaign has another configuration or another revision.
     """
@@ -105,12 +221,8 @@ def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> N
 class ExperimentRunner:
     """Executes the unfinished runs of an experiment.
 
-    Args:
-        runs: all runs of the experiment, in the order in which they are executed.
-        root: the experiment's folder.
-        jobs: number of runs at a time; on a cluster, the number of nodes, or 0 for one node for each core.
-        workers: number of processes that execute the scenarios of one run; with 0, the run's own process does.
-        cluster: name of a cluster, see `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
+    It executes `jobs` runs at a time; on a cluster, that is the number of nodes, or 0 for one for each core. Each run
+    has `workers` processes that execute its scenarios; with 0, its own process does.
 
     Attributes:
         progress: progress of the experiment.
@@ -242,10 +354,6 @@ def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], f
 
 def trial(target: Target, batch: int) -> float:
     """Return the mean time of a few executions [s].
-
-    Args:
-        target: the driving system and its environment.
-        batch: number of scenarios that run at a time, as a campaign's `batch`.
 
     Raises:
         InputError: if the ADS or the environment cannot be used.

@@ -23,19 +23,12 @@ _SIZES: Final = ((0.21, "large"), (0.14, "medium"), (0.06, "small"))  # least |A
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean and its 95 % confidence interval.
+    """A mean and its 95 % confidence interval."""
 
-    Attributes:
-        n: number of values.
-        mean: mean of the values.
-        low: lower end of the interval; nan with a single value.
-        high: upper end of the interval; nan with a single value.
-    """
-
-    n: int
-    mean: float
-    low: float
-    high: float
+    n: int  # number of values
+    mean: float  # mean of the values
+    low: float  # lower end of the interval; nan with a single value
+    high: float  # upper end of the interval; nan with a single value
 
 
 def estimate(values: Sequence[float]) -> Estimate:
@@ -115,21 +108,13 @@ def holm(ps: Sequence[float]) -> list[float]:
 
 @dataclass(frozen=True)
 class SampleComparison:
-    """A comparison of two samples.
+    """A comparison of two samples."""
 
-    Attributes:
-        n: sizes of the samples.
-        means: means of the samples.
-        effect: A12 of the first sample over the second.
-        p: p-value of the Mann-Whitney U test.
-        corrected: p-value with Holm's correction within its family; see `holm`.
-    """
-
-    n: tuple[int, int]
-    means: tuple[float, float]
-    effect: float
-    p: float
-    corrected: float
+    n: tuple[int, int]  # sizes of the samples
+    means: tuple[float, float]  # means of the samples
+    effect: float  # A12 of the first sample over the second
+    p: float  # p-value of the Mann-Whitney U test
+    corrected: float  # p-value with Holm's correction within its family; see `holm`
 
     @property
     def verdict(self) -> str:
@@ -141,17 +126,11 @@ class SampleComparison:
 
 @dataclass(frozen=True)
 class JointComparison:
-    """A comparison of two samples in each of several strata.
+    """A comparison of two samples in each of several strata."""
 
-    Attributes:
-        effect: mean A12 of the strata.
-        p: p-value of van Elteren's test.
-        corrected: p-value with Holm's correction within its family; see `holm`.
-    """
-
-    effect: float
-    p: float
-    corrected: float
+    effect: float  # mean A12 of the strata
+    p: float  # p-value of van Elteren's test
+    corrected: float  # p-value with Holm's correction within its family; see `holm`
 
 
 def compare_together(families: Sequence[Sequence[Pair]]) -> list[JointComparison]:

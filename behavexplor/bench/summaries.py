@@ -29,36 +29,23 @@ _LEAST: Final = 3  # least number of mutants for a correlation
 
 
 class Mutant(NamedTuple):
-    """An execution for which the search method measured the distance of its behavior from the known ones.
+    """An execution for which the search method measured the distance of its behavior from the known ones."""
 
-    Attributes:
-        degree: violation degree.
-        distance: distance of the behavior from the nearest known one, in [0, 1].
-        failed: whether it violated a spec.
-    """
-
-    degree: float
-    distance: float
-    failed: bool
+    degree: float  # violation degree
+    distance: float  # distance of the behavior from the nearest known one, in [0, 1]
+    failed: bool  # whether it violated a spec
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A failed execution.
+    """A failed execution."""
 
-    Attributes:
-        number: number of the execution, counted from 0.
-        label: most severe spec that it violates: "R1", "R2", "R3" or the name of a user's spec; or "error".
-        npc_caused: whether it is a collision that an NPC caused, judged from the trace alone.
-        kind: class of the violation; None if it has not been classified.
-        signature: weakness of the rule planner that the decision log indicates, or "environment" or "unexplained"; None
-            for a driver without that log.
-    """
-
-    number: int
-    label: str
-    npc_caused: bool
-    kind: str | None
+    number: int  # number of the execution, counted from 0
+    label: str  # most severe spec that it violates: "R1", "R2", "R3" or the name of a user's spec; or "error"
+    npc_caused: bool  # whether it is a collision that an NPC caused, judged from the trace alone
+    kind: str | None  # class of the violation; None if it has not been classified
+    # weakness of the rule planner that the decision log indicates, or "environment" or "unexplained"; None for a driver
+    # without that log
     signature: str | None = None
 
     @property
@@ -69,38 +56,23 @@ class Failure:
 
 @dataclass(frozen=True)
 class Summary:
-    """Summary of one campaign.
+    """Summary of one campaign."""
 
-    Attributes:
-        env: environment.
-        ads: driving system under test.
-        method: name of the search method in the experiment.
-        seed: seed of the campaign.
-        executions: number of executions.
-        failures: all failures in order.
-        novelty_rate: share of executions with a behavior that was new to the campaign.
-        executing: time spent on executions [s].
-        analysing: time spent on everything else [s].
-        durations: simulated time of each execution [s]; empty if that was not recorded.
-        mutants: executions for which the method measured the distance of their behavior from the known ones.
-        mutations: numbers of waypoint mutations and of route mutations.
-        assignments: number of distinct assignments of types and routes to the NPCs.
-        labels: labels of the specs in tables, in order: "R1", "R2", "R3", the user's specs, and "error".
-    """
-
-    env: str
-    ads: str
-    method: str
-    seed: int
-    executions: int
-    failures: tuple[Failure, ...]
-    novelty_rate: float
-    executing: float
-    analysing: float
-    durations: tuple[float, ...] = ()
+    env: str  # environment
+    ads: str  # driving system under test
+    method: str  # name of the search method in the experiment
+    seed: int  # seed of the campaign
+    executions: int  # number of executions
+    failures: tuple[Failure, ...]  # all failures in order
+    novelty_rate: float  # share of executions with a behavior that was new to the campaign
+    executing: float  # time spent on executions [s]
+    analysing: float  # time spent on everything else [s]
+    durations: tuple[float, ...] = ()  # simulated time of each execution [s]; empty if that was not recorded
+    # executions for which the method measured the distance of their behavior from the known ones
     mutants: tuple[Mutant, ...] = ()
-    mutations: tuple[int, int] = (0, 0)
-    assignments: int = 0
+    mutations: tuple[int, int] = (0, 0)  # numbers of waypoint mutations and of route mutations
+    assignments: int = 0  # number of distinct assignments of types and routes to the NPCs
+    # labels of the specs in tables, in order: "R1", "R2", "R3", the user's specs, and "error"
     labels: tuple[str, ...] = tuple(LABELS.values())
 
     @property
@@ -135,12 +107,7 @@ class Summary:
         return sum(label in (None, failure.label) for failure in self.failures)
 
     def kinds(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
-        """Return the unique violations: the classes of the failures.
-
-        Args:
-            label: label of the failures; None for all.
-            before: number of the execution before which failures count; None for no limit.
-        """
+        """Return the unique violations, the classes of the failures: of all, of a label, or before an execution."""
         return frozenset(
             failure.kind
             for failure in self.failures
@@ -313,26 +280,18 @@ def _rounded(value: float | None, digits: int) -> float | str:
 
 
 class Correlation(NamedTuple):
-    """Pearson's correlation of violation degree and behavior distance.
+    """Pearson's correlation of violation degree and behavior distance."""
 
-    Attributes:
-        n: number of mutants.
-        r: the correlation.
-        p: its two-sided p-value, for independent mutants.
-    """
-
-    n: int
-    r: float
-    p: float
+    n: int  # number of mutants
+    r: float  # the correlation
+    p: float  # its two-sided p-value, for independent mutants
 
 
 def correlation(mutants: Iterable[Mutant], *, passed: bool = False) -> Correlation | None:
-    """Return the correlation of degree and distance; None if one of them does not vary or there are too few mutants.
+    """Return the correlation of degree and distance; None for too few mutants, or if one of them does not vary.
 
-    Args:
-        mutants: the mutants, of one campaign or of several.
-        passed: whether only mutants that did not fail count. A failing run ends early at a collision or late at a
-            standstill, so that its length makes it far from other behaviors, and its violation makes its degree low.
+    With `passed`, only mutants that did not fail count. A failing run ends early at a collision or late at a
+    standstill, so that its length makes it far from other behaviors, and its violation makes its degree low.
     """
     chosen = [(mutant.degree, mutant.distance) for mutant in mutants if not (passed and mutant.failed)]
     values = np.asarray(chosen, dtype=float).reshape(-1, 2)

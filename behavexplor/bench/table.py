@@ -18,42 +18,25 @@ Cells = Callable[[Sequence[Summary]], tuple[Value, ...]]
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
+    """A column of a table."""
 
-    Attributes:
-        name: heading of the column.
-        digits: number of digits after the decimal point.
-        interval: whether estimates are shown with their intervals. The CSV file always has the intervals.
-        best: whether the greatest estimate of each block is marked.
-        only_csv: whether the column is only in the CSV file, because it is too wide for other formats.
-    """
-
-    name: str
-    digits: int = 1
-    interval: bool = False
-    best: bool = False
-    only_csv: bool = False
+    name: str  # heading of the column
+    digits: int = 1  # number of digits after the decimal point
+    interval: bool = False  # whether estimates are shown with their intervals. The CSV file always has the intervals.
+    best: bool = False  # whether the greatest estimate of each block is marked
+    only_csv: bool = False  # whether the column is only in the CSV file, because it is too wide for other formats
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
+    """A table."""
 
-    Attributes:
-        name: name of its files.
-        title: title of the table.
-        columns: columns of the table.
-        rows: rows, each with a value for each column.
-        blocks: numbers of rows in consecutive blocks, which are set apart.
-        notes: sentences below the table.
-    """
-
-    name: str
-    title: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Value, ...], ...] = ()
-    blocks: tuple[int, ...] = ()
-    notes: tuple[str, ...] = ()
+    name: str  # name of its files
+    title: str  # title of the table
+    columns: tuple[Column, ...]  # columns of the table
+    rows: tuple[tuple[Value, ...], ...] = ()  # rows, each with a value for each column
+    blocks: tuple[int, ...] = ()  # numbers of rows in consecutive blocks, which are set apart
+    notes: tuple[str, ...] = ()  # sentences below the table
 
 
 def of_group(summaries: Sequence[Summary], group: Group) -> list[Summary]:
@@ -74,14 +57,10 @@ def place_columns(experiment: Experiment) -> tuple[Column, ...]:
 def table_by_method(
     table: Table, experiment: Experiment, summaries: Sequence[Summary], cells: Cells, methods: Sequence[str] = ()
 ) -> Table:
-    """Return a table with a row for each method in each environment.
+    """Return a table with a row for each method in each environment, by default for all methods.
 
-    Args:
-        table: name, title and notes of the table, and its columns but for those of environment and method.
-        experiment: the experiment.
-        summaries: summaries of its finished campaigns.
-        cells: function from the campaigns of a method in an environment to the cells of its row; none for no row.
-        methods: methods that have rows; by default all.
+    The given table has the name, title, notes and further columns. `cells` makes a row of a method's campaigns in an
+    environment, or none.
     """
     rows: list[tuple[Value, ...]] = []
     blocks = []

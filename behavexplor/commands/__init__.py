@@ -42,14 +42,7 @@ _RENAMED = {"--summary": "--json"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command, such as `behavexplor fuzz`.
-
-    Args:
-        arguments: command line arguments without the program name; by default those of this process.
-
-    Returns:
-        The exit code.
-    """
+    """Run a command, such as `behavexplor fuzz`, and return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given == ["--version"]:
         say(f"behavexplor {version('behavexplor')}")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from behavexplor.bench.curves import curves, curves_csv, curves_svg
+from behavexplor.bench.comparisons import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, read_experiment
 from behavexplor.bench.experiment_archive import ARCHIVE, Archive, read_archive, write_archive
 from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, forecast, run_state

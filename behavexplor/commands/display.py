@@ -5,7 +5,6 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from itertools import zip_longest
-from types import TracebackType
 from typing import Self, TextIO
 
 from rich.live import Live
@@ -36,13 +35,7 @@ _FIGURES = {  # figures of search methods, in words
 
 
 class Display:
-    """Shows the progress of a campaign.
-
-    Args:
-        stream: output stream. A terminal shows a live screen; any other stream gets a line every few seconds.
-        budget: budget of the campaign.
-        quiet: whether to show nothing.
-    """
+    """Shows the progress of a campaign: a live screen on a terminal, or else a line every few seconds."""
 
     def __init__(self, stream: TextIO, budget: Budget, *, quiet: bool) -> None:
         self._console = PlainConsole(file=stream, quiet=quiet)
@@ -59,15 +52,13 @@ class Display:
     def __enter__(self) -> Self:
         """Open the live screen, if there is one."""
         if self._live is not None:
-            self._live.__enter__()
+            self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the last state of the live screen on the terminal."""
         if self._live is not None:
-            self._live.__exit__(kind, error, trace)
+            self._live.stop()
 
     def show(self, progress: Progress) -> None:
         """Show the progress of the campaign."""
@@ -220,14 +211,7 @@ def _ago(progress: Progress, mark: str) -> str:
 
 
 class Meter:
-    """Shows how many items of a task are done.
-
-    Args:
-        stream: output stream. A terminal shows a bar; any other stream gets a line every few seconds.
-        total: total number of items.
-        things: name of the items, such as "executions".
-        quiet: whether to show nothing.
-    """
+    """Shows how many items of a task are done: a bar on a terminal, or else a line every few seconds."""
 
     def __init__(self, stream: TextIO, total: int, things: str, *, quiet: bool) -> None:
         self._console = PlainConsole(file=stream, quiet=quiet)
@@ -245,9 +229,7 @@ class Meter:
             self._bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the bar and leave its last state visible."""
         if self._bar is not None:
             self._bar.stop()

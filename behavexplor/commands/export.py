@@ -14,7 +14,7 @@ from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
 from behavexplor.campaign.provenance import ADS, DRIVING, Consent, accepted
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK
-from behavexplor.commands.flags import Trust
+from behavexplor.commands.flags import NewFolder, RunFolder, Trust
 from behavexplor.commands.wording import say
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
@@ -32,12 +32,12 @@ LIBRARIES = ("lxml", "scenariogeneration")  # of the extra `scenes`
 
 
 def export(
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
+    run: RunFolder,
     numbers: Annotated[
         tuple[int, ...], tyro.conf.Positional, tyro.conf.arg(name="ids", metavar="[ID ...]", help_behavior_hint="")
     ] = (),
     *,
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")],
+    out: NewFolder,
     format: Literal["openscenario", "csv"] = "openscenario",  # noqa: A002 - the flag's name
     ego: Literal["recorded", "free"] = "recorded",
     npcs: Annotated[Literal["trajectories", "routes"], tyro.conf.arg(help_behavior_hint="(default: trajectories)")] = (
@@ -110,12 +110,6 @@ def _highway_env(setup: Setup) -> Any:
 
 def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) -> tuple[RoadPlan, LogicalScenario]:
     """Return the road of a scenario, and the scenarios of its environment.
-
-    Args:
-        scenario: the scenario; None if its environment has one road for all.
-        env: name of the environment.
-        env_config: configuration of the environment, as far as it differs from its own. A scenario of a
-            highway-env environment holds its own.
 
     Raises:
         InputError: if the environment cannot be made, or has a road that cannot be exported.

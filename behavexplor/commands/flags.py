@@ -1,4 +1,4 @@
-"""Flags that override a configuration."""
+"""What flags of several commands have in common, and flags that are made of the fields of a configuration."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,6 +18,8 @@ from behavexplor.errors import InputError
 from behavexplor.execution.executor import MOST_WORKERS, available_cores
 
 Switch = tyro.conf.FlagCreatePairsOff[bool]  # off without the flag
+RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+NewFolder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 Trust = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIGEST")]
 _METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
     "budget": "N|TIME",
@@ -36,12 +38,7 @@ WAITING: Final = "Loading the driver; first-time compilation can take a minute .
 
 
 def flag(metavar: str | None, default: object) -> Any:
-    """Return the argument settings of a flag whose default is not a value of its own.
-
-    Args:
-        metavar: name of the value in the help text.
-        default: what holds without the flag, for the help text; None for nothing.
-    """
+    """Return the argument settings of a flag whose default is not a value of its own."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "")
 
 
@@ -81,10 +78,8 @@ def settings(kind: type, names: str, **other: tuple[object, str]) -> Any:
     Name, type, default and description of a flag are those of the field. The parameter gets the values of the flags
     that were given, by the names of the fields. A configuration of the environment is given as a YAML file.
 
-    Args:
-        kind: a dataclass whose docstring describes its fields.
-        names: names of the fields in the order of the help text, separated by spaces.
-        other: other defaults for the help text, and a text that is added to the description, by field.
+    `names` gives the fields in the order of the help text. `other` gives other defaults for it, with a text that is
+    added to the description.
     """
     texts, types, known = described(kind), get_type_hints(kind), {one.name: one for one in fields(kind)}
     parameters = []

@@ -1,13 +1,15 @@
-"""`behavexplor fuzz`: search for failures of a driving system."""
+"""`behavexplor fuzz`: search for failures of a driving system, also as a check in CI."""
 
 import gc
+import json
 import os
 import shlex
 import signal
 import sqlite3
 import sys
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TextIO
 
@@ -24,23 +26,92 @@ from behavexplor.campaign.config import (
     stored_config,
 )
 from behavexplor.campaign.opening import opened, stopped_by_signals
-from behavexplor.campaign.progress import Progress
+from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.provenance import ALL, Consent
-from behavexplor.campaign.run_summary import summarize
+from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
-from behavexplor.commands.checks import Checks, read_known_classes, summary_values, tested_classes
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.flags import Switch, check_unchanged, chosen_workers, flag, patience, settings
-from behavexplor.commands.outputs import JsonFile, JUnitFile, check_outputs, write_json, write_junit
-from behavexplor.commands.wording import say
+from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.wording import class_count, say
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ray_cluster import MAX_NODES, parse_cluster
 from behavexplor.execution.simulation import default_method
 from behavexplor.fuzz.methods import METHODS, describe_method
 from behavexplor.judge.specs import DIFFERS, ERROR
+
+
+@dataclass(frozen=True)
+class Checks:
+    """What makes a campaign fail as a check.
+
+    Raises:
+        InputError: if the share is out of range.
+    """
+
+    on_violation: bool = False  # whether any failure makes it fail
+    above: float | None = None  # share of failed executions above which it fails; None for no limit
+    known: frozenset[str] = frozenset()  # classes of failures that do not count
+
+    def __post_init__(self) -> None:
+        if self.above is not None and not 0.0 <= self.above < 1.0:
+            raise InputError(f"--fail-above {self.above} must be a share from 0 to below 1, such as 0.05")
+
+    def new_classes(self, found: RunSummary) -> Sequence[ClassSummary]:
+        """Return the classes of a run that are not known."""
+        return [one for one in found.classes if one.id not in self.known]
+
+    def outcome(self, found: RunSummary) -> tuple[bool, str]:
+        """Return whether a run passes, and a sentence on it; an empty one if nothing is checked."""
+        new = self.new_classes(found)
+        counted = found.failed - sum(one.count for one in found.classes if one.id in self.known)
+        share = counted / max(found.executions, 1)
+        kind = " that are not known" if self.known else ""
+        what = f"{counted} of {found.executions} executions ({share:.1%}) failed, in {class_count(len(new))}{kind}"
+        has_failed = self.on_violation and counted > 0
+        if self.above is not None:
+            has_failed |= share > self.above
+            what += f"; {'more' if share > self.above else 'not more'} than {self.above:.1%}"
+        if self.above is None and not self.on_violation:
+            return True, ""
+        return not has_failed, f"The check {'failed' if has_failed else 'passed'}: {what}"
+
+
+def summary_values(found: RunSummary, run: Path, checks: Checks) -> Mapping[str, Any]:
+    """Return the figures of a run, its folder, and its classes that are not known, as JSON values."""
+    return {"run": str(run), **found.to_dict(), "new_classes": [one.id for one in checks.new_classes(found)]}
+
+
+def read_known_classes(path: Path | None) -> frozenset[str]:
+    """Return the classes in a file: one in each line, after which a # begins a comment, or a summary in JSON.
+
+    Raises:
+        InputError: if the file cannot be read.
+    """
+    if path is None:
+        return frozenset()
+    try:
+        text = read_file(path, pipes=True).decode()
+        if text.lstrip().startswith("{"):
+            return frozenset(str(one["id"]) for one in json.loads(text)["classes"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is neither a list of classes nor a summary: {error}") from None
+    lines = (line.partition("#")[0].strip() for line in text.splitlines())
+    return frozenset(line for line in lines if line)
+
+
+def tested_classes(found: RunSummary, checks: Checks) -> list[Tested]:
+    """Return a test case of JUnit for each class of failures, which fails if the class is not known."""
+    new = {one.id for one in checks.new_classes(found)}
+    return [
+        Tested(one.id, f"{one.words}: {one.count} times, first in execution {one.first}" if one.id in new else "")
+        for one in found.classes
+    ] or [Tested("no failures")]
+
 
 _WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."
 _SETTINGS = settings(
@@ -118,11 +189,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
 
 
 def _check_together(stop_after: int | None, resume: Path | None, *, is_new: bool) -> None:
-    """Check flags that do not depend on the campaign.
-
-    Raises:
-        InputError: if one is out of range, or cannot be given beside another.
-    """
+    """Check flags that do not depend on the campaign."""
     if stop_after is not None and stop_after < 1:
         raise InputError(f"--stop-after {stop_after} must be at least 1")
     if resume and is_new:
@@ -207,11 +274,7 @@ def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
 
 
 def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
-    """Return the configuration in a run folder, possibly with another budget.
-
-    Raises:
-        InputError: if a flag would change anything but the budget, or code would be run without the user's word.
-    """
+    """Return the configuration in a run folder, possibly with another budget."""
     stored, said = stored_config(run), {name: value for name, value in given.items() if name != "trust"}
     check_unchanged({name: value for name, value in said.items() if name != "budget"}, stored.says, "run")
     names = tuple(value for value in said.values() if isinstance(value, str))

@@ -28,12 +28,7 @@ def text(table: Table) -> str:
 
 
 def grid(*columns: str, numbers: Collection[str] = ()) -> Grid:
-    """Return an empty table without lines.
-
-    Args:
-        columns: headings of the columns.
-        numbers: headings of those whose cells are aligned to the right.
-    """
+    """Return an empty table without lines; the cells of the columns `numbers` are aligned to the right."""
     made = Grid(box=None, pad_edge=False)
     for column in columns:
         made.add_column(column, justify="right" if column in numbers else "left", no_wrap=True)

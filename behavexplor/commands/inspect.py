@@ -120,12 +120,7 @@ def _driving(policy: str, config: dict[str, Any] | None, trust: tuple[str, ...],
 
 
 def _place(seen: dict[str, Any], refused: list[str]) -> dict[str, Any]:
-    """Return where a policy drives.
-
-    Args:
-        seen: the policy as it sees each environment that it fits, and under "" as it sees one that it does not fit.
-        refused: why it cannot see others.
-    """
+    """Return where a policy drives."""
     fits = [env for env in seen if env]
     if fits:
         is_said = any(hasattr(seen[fits[0]], key) for key in (*DECLARED, "env_config"))
@@ -146,22 +141,14 @@ def _spaces(ads: Any) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Contents:
-    """What the file of a policy holds.
+    """What the file of a policy holds."""
 
-    Attributes:
-        path: path of the file.
-        facts: what is known, in words, by what it is about.
-    """
-
-    path: Path
-    facts: Mapping[str, str]
+    path: Path  # path of the file
+    facts: Mapping[str, str]  # what is known, in words, by what it is about
 
 
 def contents_of(policy: str) -> Contents:
     """Read a policy's file, or that in a folder of rl-zoo3.
-
-    Args:
-        policy: path, or "learned:NAME".
 
     Raises:
         InputError: if it is no such file, or cannot be read.

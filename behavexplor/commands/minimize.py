@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from statistics import median
 from typing import Annotated
 
@@ -10,18 +9,18 @@ import tyro
 
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import HowToRun, Switch
+from behavexplor.commands.flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.wording import counted, say
 from behavexplor.errors import InputError, sentence
+from behavexplor.triage.findings import Minimized
 from behavexplor.triage.minimization import RunMinimization
-from behavexplor.triage.minimized import Minimized
 
 _NUMBERS = ("vehicles", "free values", "executions")
 
 
 def minimize(
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
+    run: RunFolder,
     numbers: Annotated[tuple[int, ...], tyro.conf.Positional, tyro.conf.arg(name="ids", metavar="[ID ...]")] = (),
     *,
     every: Annotated[Switch, tyro.conf.arg(name="all")] = False,

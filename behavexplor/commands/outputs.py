@@ -22,11 +22,8 @@ JUnitFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_h
 def check_outputs(*paths: Path | None) -> TextIO:
     """Check that files can be written, and return where everything else is to be printed.
 
-    Args:
-        paths: the files; `STANDARD` for standard output, and None for none.
-
-    Returns:
-        Standard error if a file is standard output, which then has nothing else; or else standard output.
+    That is standard error if a file is `STANDARD`, standard output, which then has nothing else; or else standard
+    output.
 
     Raises:
         InputError: if a file cannot be written, or two of them are standard output.
@@ -58,29 +55,16 @@ def write_json(path: Path | None, values: Any) -> None:
 
 
 class Tested(NamedTuple):
-    """A test case of JUnit.
+    """A test case of JUnit."""
 
-    Attributes:
-        name: its name.
-        failure: why it failed; empty if it passed.
-        kind: kind of the failure.
-        seconds: how long it took [s].
-    """
-
-    name: str
-    failure: str = ""
-    kind: str = ""
-    seconds: float = 0.0
+    name: str  # its name
+    failure: str = ""  # why it failed; empty if it passed
+    kind: str = ""  # kind of the failure
+    seconds: float = 0.0  # how long it took [s]
 
 
 def write_junit(path: Path | None, suite: str, tested: Iterable[Tested], properties: Mapping[str, str]) -> None:
     """Write test cases as JUnit XML, which CI systems show, if there is a file for them.
-
-    Args:
-        path: the file.
-        suite: name of the test suite.
-        tested: the test cases.
-        properties: what was tested, by name.
 
     Raises:
         InputError: if it cannot be written.

@@ -46,11 +46,7 @@ COMMANDS: Final = tuple(name for group in GROUPS.values() for name in group)
 
 
 def overview(program: str) -> str:
-    """Return all commands, in groups, with a line for each.
-
-    Args:
-        program: name by which the user called the program.
-    """
+    """Return all commands, in groups, with a line for each."""
     lines = [f"usage: {program} COMMAND ...", "", "Find out how a driving policy fails."]
     for title, commands in GROUPS.items():
         lines += ["", title, *(f"  {name:9} {text}" for name, text in commands.items())]

@@ -2,18 +2,15 @@
 
 import json
 import sys
-from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from behavexplor.campaign.record import Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, program
+from behavexplor.commands.flags import RunFolder
 from behavexplor.commands.wording import say
 
 
-def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]) -> int:
+def records(run: RunFolder) -> int:
     """Print the record of each execution as one line of JSON, in order. Equal campaigns print equal lines.
 
     A failure also says whether the driving system was at fault, as far as its trace can tell.

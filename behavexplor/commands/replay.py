@@ -16,7 +16,7 @@ from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
-from behavexplor.commands.flags import Switch, Trust
+from behavexplor.commands.flags import RunFolder, Switch, Trust
 from behavexplor.commands.wording import say
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.durable import folder_in, new_file
@@ -39,7 +39,7 @@ _Place = tuple[Path] | tuple[Path, str]  # of the pictures: a folder, or one ins
 
 
 def replay(
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
+    run: RunFolder,
     number: Annotated[int, tyro.conf.arg(name="id", metavar="ID"), tyro.conf.Positional],
     *,
     out: Annotated[

@@ -1,22 +1,17 @@
 """`behavexplor status`: the figures of a run, also while it is being written."""
 
 import time
-from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from behavexplor.campaign.database_file import is_being_written
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.store import last_written
 from behavexplor.commands import OK
+from behavexplor.commands.flags import RunFolder
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
 from behavexplor.commands.wording import class_count, clock, hanging, say
 
 
-def status(
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")], *, json_file: JsonFile = None
-) -> int:
+def status(run: RunFolder, *, json_file: JsonFile = None) -> int:
     """Print how far a run is and what it has found, also while a campaign writes it.
 
     Args:

@@ -13,7 +13,7 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import HowToRun, Running
+from behavexplor.commands.flags import HowToRun, NewFolder, Running
 from behavexplor.commands.wording import counted, say
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.cases import TEST, Case, Suite, candidates, case_of, check_free, check_same_driving
@@ -26,7 +26,7 @@ TRIES = 3  # failures of one class that are tried, in case the first ones cannot
 def suite(
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(name="run", metavar="RUN [RUN ...]")],
     *,
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")],
+    out: NewFolder,
     running: HowToRun,
 ) -> int:
     """Write a regression suite: one minimized scenario of each class of failures, and a test file for pytest.

@@ -4,15 +4,12 @@ import re
 import shlex
 import sys
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated
 
-import tyro
 from rich.table import Table
 
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import HowToRun, Switch
+from behavexplor.commands.flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.wording import class_count, hanging, say
 from behavexplor.data.trace import UNKNOWN
@@ -25,12 +22,7 @@ _NUMBER = re.compile(r" \d+$")  # of a driver that acts by chance
 _NUMBERS = ("count", "first", "look at")  # columns of numbers
 
 
-def triage(
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
-    *,
-    running: HowToRun,
-    afresh: Switch = False,
-) -> int:
+def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
     """Classify the failures of a run, and find out whose fault they were and how they could have been avoided.
 
     Each failure is executed again first. For the rule planner, replays find the weakness that caused the failure. The

@@ -40,12 +40,5 @@ def hanging(first: str, text: str) -> str:
 
 
 def say(text: str, *, file: TextIO | None = None, end: str = "\n", flush: bool = False) -> None:
-    """Print a text, which may quote files of others and messages of drivers, without control characters.
-
-    Args:
-        text: the text, of one line or several.
-        file: where to print it; None for standard output.
-        end: what follows the text.
-        flush: whether to print it at once.
-    """
+    """Print a text, which may quote files of others and messages of drivers, without control characters."""
     print(printable(text), file=file, end=end, flush=flush)

@@ -85,8 +85,7 @@ def fill_near_segments(
 
     All points of a block lie within `spread` of its first one, whose distances from the segments are the `gaps`.
 
-    Returns:
-        The number of pairs, and the upper bound of the least distance [m].
+    Return the number of pairs, and the upper bound of the least distance [m].
     """
     upper, count = math.inf, 0
     for block in range(len(gaps)):
@@ -125,15 +124,9 @@ def fill_gaps_from_lines(
 
 @kernel_in_place
 def fill_changed_frames(position: Floats, heading: Floats, frames: Ints) -> int:
-    """Fill in the frames in which the first vehicle differs from the frame before, and the first frame.
+    """Fill in the frames, shape (T,), in which the first vehicle moves, and the first; return their number.
 
-    Args:
-        position: centers, shape (T, N, 2) [m].
-        heading: headings, shape (T, N) [rad].
-        frames: frames, in order, shape (T,); changed in place.
-
-    Returns:
-        The number of such frames.
+    Centers have the shape (T, N, 2) [m], headings (T, N) [rad].
     """
     count = 0
     for t in range(len(heading)):
@@ -257,12 +250,8 @@ def _to_segment(point: Floats, segment: Floats) -> float:
 def fill_stations(points: Floats, vertices: Floats, pieces: Floats, ends: Floats, stations: Floats) -> None:
     """Fill in the station of each point's nearest place, on the segments around its nearest vertex [m].
 
-    Args:
-        points: points, shape (T, 2) [m].
-        vertices: vertices of the polyline, shape (P, 2) [m].
-        pieces: direction and length [m] of each segment, shape (P - 1, 3).
-        ends: stations of the vertices [m], shape (P,).
-        stations: stations of the points [m], shape (T,); changed in place.
+    Pieces are the direction and length [m] of each segment, shape (P - 1, 3), and `ends` the stations of the vertices
+    [m].
     """
     vertex, longest = 0, _longest(pieces)
     for t in range(len(points)):
@@ -293,12 +282,8 @@ def _nearest(vertices: Floats, x: float, y: float, guess: int, longest: float) -
     From both ends, it looks for vertices nearer than the guess. The farther away a vertex is, the more of the next ones
     cannot be nearer, and are left out.
 
-    Args:
-        vertices: vertices of the polyline, shape (P, 2) [m].
-        x: the point's x [m].
-        y: the point's y [m].
-        guess: index of a vertex that may be near. It changes only the time that this takes.
-        longest: greatest distance between neighboring vertices [m].
+    The guess changes only the time that this takes; `longest` is the greatest distance between neighboring vertices
+    [m].
     """
     nearest, least = guess, _squared_distance(vertices[guess], x, y)
     for first, step in ((0, 1), (len(vertices) - 1, -1)):

@@ -29,12 +29,8 @@ VEHICLE_SIZES: Mapping[str, tuple[float, float]] = MappingProxyType(  # length a
 def is_rear_end(ahead: float, turned: float, ego_length: float, ego_speed: float, npc_speed: float) -> bool:
     """Return whether a vehicle that touches the ego ran into its back.
 
-    Args:
-        ahead: distance of the vehicle's center ahead of the ego's center, along the ego's heading [m].
-        turned: heading of the vehicle relative to the ego's, in [-pi, pi] [rad].
-        ego_length: length of the ego [m].
-        ego_speed: speed of the ego [m/s].
-        npc_speed: speed of the vehicle [m/s].
+    Its center is `ahead` of the ego's along the ego's heading [m], and `turned` is its heading relative to the ego's,
+    in [-pi, pi] [rad].
     """
     # A vehicle whose center is ahead of the ego's rear bumper came alongside, not from behind.
     return ahead < -ego_length / 2 and abs(turned) < REAR_END_ANGLE and npc_speed > ego_speed

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, sorted_draws
 from behavexplor.data.logical import Mutations, Noise, Part, Parts
 from behavexplor.data.trace import Trace
@@ -28,19 +28,12 @@ _ATTEMPTS: Final = 1000
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """A random draw of an environment.
+    """A random draw of an environment."""
 
-    Attributes:
-        name: name of the call that makes it; see `behavexplor.envs.highway.generator`.
-        position: its position among the draws of that call.
-        kind: UNIFORM or NORMAL.
-        block: index of the vehicle, or other part of the scene, to which it belongs.
-    """
-
-    name: str
-    position: int
-    kind: str
-    block: int
+    name: str  # name of the call that makes it; see `behavexplor.envs.highway.generator`
+    position: int  # its position among the draws of that call
+    kind: str  # UNIFORM or NORMAL
+    block: int  # index of the vehicle, or other part of the scene, to which it belongs
 
 
 @dataclass(frozen=True)
@@ -48,14 +41,10 @@ class DrawnLogicalScenario:
     """The draws of a highway-env environment; see `behavexplor.data.logical.LogicalScenario`.
 
     A draw that is not among `draws`, because it is rarely made, is made from the scenario's seed.
-
-    Attributes:
-        setup: the environment and its configuration.
-        draws: the draws, sorted by name and position. The positions of each name are 0, 1, 2, ...
     """
 
-    setup: Setup
-    draws: tuple[Draw, ...]
+    setup: Setup  # the environment and its configuration
+    draws: tuple[Draw, ...]  # the draws, sorted by name and position. The positions of each name are 0, 1, 2, ...
 
     roadmap: None = None
     has_original: bool = True
@@ -186,7 +175,7 @@ class DrawnLogicalScenario:
         return np.where(self._is_normal, normal, uniform)
 
     @cached_property
-    def _is_normal(self) -> NDArray[np.bool_]:
+    def _is_normal(self) -> Bools:
         return np.array([draw.kind == NORMAL for draw in self.draws], dtype=bool)
 
     def _fresh(self, rng: np.random.Generator) -> Floats:

@@ -62,11 +62,7 @@ def new_file(path: Path) -> Iterator[BufferedWriter]:
 
 
 def folder_in(folder: Path, *names: str) -> Path:
-    """Return a folder, or one inside it. All of them are created if they do not exist.
-
-    Args:
-        folder: the folder.
-        names: name of the one inside, and before it those of the folders between; none for the folder itself.
+    """Return a folder, or the one inside it that the names lead to. All are created if they do not exist.
 
     Raises:
         OSError: if it cannot be created, or is a symbolic link.

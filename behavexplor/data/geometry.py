@@ -7,24 +7,17 @@ lateral offset therefore lies to the right of the direction of travel. Lengths a
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.data import box_kernels
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 
 _UNIT_BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
 
 def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
-    """Compute the corners of oriented boxes.
+    """Compute the corners of oriented boxes in order around each box, shape (..., 4, 2).
 
-    Args:
-        position: centers, shape (..., 2) [m].
-        heading: headings, shape (...) [rad].
-        size: length and width, shape (..., 2) [m], broadcast against `position`.
-
-    Returns:
-        Corners in order around each box, shape (..., 4, 2).
+    Centers have the shape (..., 2) [m], headings (...) [rad]; length and width are broadcast against the centers.
     """
     local = _UNIT_BOX * np.asarray(size)[..., None, :]
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
@@ -36,15 +29,10 @@ def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
     return corners
 
 
-def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
-    """Return whether boxes touch or overlap, by the separating axis theorem.
+def boxes_overlap(a: Floats, b: Floats) -> Bools:
+    """Return whether boxes touch or overlap, shape (...), by the separating axis theorem.
 
-    Args:
-        a: corners, shape (..., 4, 2).
-        b: corners, shape (..., 4, 2).
-
-    Returns:
-        Booleans, shape (...).
+    They are given by their corners, shape (..., 4, 2).
     """
     separated = np.zeros(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), dtype=bool)
     for box in (a, b):
@@ -64,16 +52,9 @@ def point_segment_distances(points: Floats, segments: Floats) -> Floats:
 
 
 def point_box_distance(point: Floats, position: Floats, heading: Floats, size: Floats) -> Floats:
-    """Compute the distance from a point to boxes, 0 within them.
+    """Compute the distance from a point, shape (2,), to boxes, 0 within them; shape (...) [m].
 
-    Args:
-        point: the point, shape (2,) [m].
-        position: centers, shape (..., 2) [m].
-        heading: headings, shape (...) [rad].
-        size: length and width, shape (2,) [m].
-
-    Returns:
-        Distances, shape (...).
+    Centers have the shape (..., 2) [m], headings (...) [rad]; all boxes have one length and width.
     """
     gap = point - position
     cos, sin = np.cos(heading), np.sin(heading)
@@ -83,15 +64,7 @@ def point_box_distance(point: Floats, position: Floats, heading: Floats, size: F
 
 
 def box_distance(a: Floats, b: Floats) -> Floats:
-    """Compute the shortest distance between boxes [m], 0 if they touch or overlap.
-
-    Args:
-        a: corners, shape (..., 4, 2).
-        b: corners, shape (..., 4, 2).
-
-    Returns:
-        Distances, shape (...).
-    """
+    """Compute the shortest distances between boxes, given by corners (..., 4, 2), shape (...) [m]; 0 if they touch."""
     if a.shape != b.shape:
         a, b = np.broadcast_arrays(a, b)
     gaps = np.empty(a.shape[:-2])
@@ -100,17 +73,10 @@ def box_distance(a: Floats, b: Floats) -> Floats:
 
 
 def gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats) -> tuple[Floats, float]:
-    """Bound the distances between the first vehicle and the others by circles, in each frame in which a vehicle moves.
+    """Bound the distances between the first vehicle and the others by circles, in each frame.
 
-    Args:
-        position: centers, shape (T, N, 2) [m].
-        heading: headings, shape (T, N) [rad].
-        outer: radii of circles around the vehicles, shape (N,) [m].
-        inner: radii of circles inside the vehicles, shape (N,) [m].
-
-    Returns:
-        Lower bounds, infinite in a frame that equals the one before, shape (T, N - 1); and an upper bound of the least
-        distance [m].
+    The circles around and inside the vehicles have the radii `outer` and `inner`, shape (N,) [m]. Lower bounds are
+    infinite in a frame that equals the one before, shape (T, N - 1); the upper bound is that of the least distance [m].
     """
     lower = np.empty((len(position), len(outer) - 1))
     upper = box_kernels.fill_gap_bounds(
@@ -120,29 +86,17 @@ def gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats) 
 
 
 def changed_frames(position: Floats, heading: Floats) -> Ints:
-    """Return the frames in which the first vehicle differs from the frame before, and the first frame.
-
-    Args:
-        position: centers, shape (T, N, 2) [m].
-        heading: headings, shape (T, N) [rad].
-    """
+    """Return the frames in which the first vehicle differs from the frame before, and the first frame."""
     frames = np.empty(len(heading), dtype=np.intp)
     count = box_kernels.fill_changed_frames(np.ascontiguousarray(position), np.ascontiguousarray(heading), frames)
     return frames[:count]
 
 
 def distances_from_first(position: Floats, heading: Floats, size: Floats, frame: Ints, vehicle: Ints) -> Floats:
-    """Compute the shortest distances between the box of the first vehicle and those of others, 0 if they touch.
+    """Compute the shortest distances between the first vehicle's box and those of others, shape (n,) [m].
 
-    Args:
-        position: centers, shape (T, N, 2) [m].
-        heading: headings, shape (T, N) [rad].
-        size: length and width of the vehicles, shape (N, 2) [m].
-        frame: frame of each distance, shape (n,).
-        vehicle: index of the other vehicle in it, shape (n,).
-
-    Returns:
-        Distances, shape (n,) [m].
+    They are 0 if the boxes touch. Centers have the shape (T, N, 2) [m], headings (T, N) [rad], sizes (N, 2) [m];
+    `frame` and `vehicle` say of which pair each distance is, shape (n,).
     """
     turned, gaps = np.empty((2, len(frame))), np.empty(len(frame))
     turned[0], turned[1] = heading[frame, 0], heading[frame, vehicle]
@@ -152,17 +106,9 @@ def distances_from_first(position: Floats, heading: Floats, size: Floats, frame:
 
 
 def distances_from_segments(position: Floats, heading: Floats, size: Floats, segments: Floats, segment: Ints) -> Floats:
-    """Compute the shortest distances between equal boxes and segments, 0 if a segment touches or enters the box.
+    """Compute the shortest distances between n equal boxes and their segments of m, (m, 2, 2), shape (n,) [m].
 
-    Args:
-        position: centers, shape (n, 2) [m].
-        heading: headings, shape (n,) [rad].
-        size: length and width, shape (2,) [m].
-        segments: end points, shape (m, 2, 2) [m].
-        segment: index of each box's segment, shape (n,).
-
-    Returns:
-        Distances, shape (n,) [m].
+    They are 0 if a segment touches or enters the box; `segment` has the index of each box's segment, shape (n,).
     """
     gaps = np.empty(len(position))
     directions = np.cos(heading), np.sin(heading)
@@ -171,16 +117,11 @@ def distances_from_segments(position: Floats, heading: Floats, size: Floats, seg
 
 
 def near_segments(points: Floats, segments: Floats, reach: float, within: float) -> tuple[Ints, Ints, float]:
-    """Find the pairs of points and segments that may have the least distance of a box around a point from a segment.
+    """Find the pairs of boxes and segments (m, 2, 2) that may have the least distance.
 
-    Args:
-        points: centers of the boxes, which follow one another, shape (n, 2) [m].
-        segments: end points, shape (m, 2, 2) [m].
-        reach: radius of a circle around each box [m].
-        within: radius of a circle inside each box [m].
-
-    Returns:
-        Indices of the points and of the segments of the pairs, and an upper bound of the least distance [m].
+    The points, shape (n, 2) [m], are the boxes' centers and follow one another. A circle of the radius `reach` is
+    around each box, one of the radius `within` inside it [m]. Return the indices of the points and of the segments, and
+    an upper bound of the least distance [m].
     """
     blocks = -(-len(points) // box_kernels.BLOCK)
     gaps = np.empty((blocks, len(segments)))
@@ -211,16 +152,8 @@ def _flat(points: Floats, count: int) -> Floats:
     return np.array(points, dtype=np.float64, order="C").reshape(-1, count, 2)
 
 
-def segment_meets_box(box: Floats, segment: Floats) -> NDArray[np.bool_]:
-    """Return whether segments touch or enter boxes, by the separating axis theorem.
-
-    Args:
-        box: corners, shape (..., 4, 2).
-        segment: end points, shape (..., 2, 2).
-
-    Returns:
-        Booleans, shape (...).
-    """
+def segment_meets_box(box: Floats, segment: Floats) -> Bools:
+    """Return whether segments (..., 2, 2) touch or enter boxes (..., 4, 2), by the separating axis theorem."""
     start, end = segment[..., 0, :], segment[..., 1, :]
     along = end - start
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
@@ -235,17 +168,12 @@ def segment_meets_box(box: Floats, segment: Floats) -> NDArray[np.bool_]:
 
 
 def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Floats]:
-    """Project points on a polyline whose segments are about equally long.
+    """Project T points on a polyline, (P, 2), P >= 2 [m], whose segments are about equally long.
 
     Only the segments around a point's nearest vertex are considered.
 
-    Args:
-        points: points, shape (T, 2) [m].
-        polyline: vertices, shape (P, 2) [m], P >= 2.
-
-    Returns:
-        Station of each projected point [m], and the polyline's heading at that station [rad], each of shape (T,). The
-        heading is interpolated between the headings at the middles of the segments.
+    Return the station of each projected point [m], and the polyline's heading at that station [rad], interpolated
+    between the middles of the segments, each of shape (T,).
     """
     vertices = np.array(polyline, dtype=np.float64, order="C")
     pieces, ends, heading = _pieces(vertices.tobytes())
@@ -256,15 +184,7 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
 
 @lru_cache(maxsize=8)  # all traces of a scene have the same route
 def _pieces(vertices: bytes) -> tuple[Floats, Floats, Floats]:
-    """Return the segments of a polyline.
-
-    Args:
-        vertices: the bytes of its vertices, shape (P, 2) [m].
-
-    Returns:
-        Direction and length of each segment, shape (P - 1, 3); stations of the vertices [m], shape (P,); headings of
-        the segments without jumps [rad], shape (P - 1,).
-    """
+    """Return directions and lengths of segments, (P - 1, 3), the stations of vertices, and headings without jumps."""
     along = np.diff(np.frombuffer(vertices).reshape(-1, 2), axis=0)
     length = np.hypot(along[:, 0], along[:, 1])
     ends = np.concatenate([[0.0], np.cumsum(length)])

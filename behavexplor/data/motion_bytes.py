@@ -2,14 +2,13 @@
 
 import threading
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import safetensors.numpy
 import zstandard
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bytes, Floats, Ints
+from behavexplor.data.array_types import Array, Bytes, Floats, Ints
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place
 
@@ -19,14 +18,9 @@ MAX_BYTES: Final = 450_000_000  # unpacked size; the largest trace has 41 bytes 
 
 
 def pack_motion(motion: Floats, resolution: float) -> Bytes:
-    """Return motion as second differences over time, byte by byte, from the lowest byte to the highest.
+    """Return motion (T, ...) as second differences over time, byte by byte from the lowest, shape (b, ..., T).
 
-    Args:
-        motion: multiples of the resolution, shape (T, ...).
-        resolution: unit of the differences.
-
-    Returns:
-        Bytes, shape (b, ..., T), of which each difference needs b.
+    The differences are in units of the resolution, of which the motion has multiples.
     """
     frames, *rest = motion.shape
     rows = np.ascontiguousarray(motion).reshape(frames, -1)
@@ -38,11 +32,6 @@ def pack_motion(motion: Floats, resolution: float) -> Bytes:
 
 def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     """Return the motion that `pack_motion` packed, a read-only array of shape (T, ...).
-
-    Args:
-        planes: bytes, shape (b, ..., T), b in [1, 8].
-        frames: number of frames T.
-        resolution: unit of the differences.
 
     Raises:
         InputError: if the bytes have another shape.
@@ -62,8 +51,7 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
 def fill_changes(motion: Floats, resolution: float, changes: Ints) -> int:
     """Fill in the second differences of motion, shape (T, n), over time; differences of shape (n, T).
 
-    Returns:
-        The number of bytes that each of them needs, at least 1.
+    Return the number of bytes that each of them needs, at least 1.
     """
     size = np.int64(0)
     for i in range(motion.shape[1]):
@@ -115,13 +103,13 @@ class _Compression(threading.local):
 _compression = _Compression()
 
 
-def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+def pack_arrays(arrays: Mapping[str, Array]) -> bytes:
     """Return arrays of numbers or truth values as bytes. Equal arrays give equal bytes."""
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     return _compression.compressor.compress(safetensors.numpy.save(contiguous))
 
 
-def unpack_arrays(data: bytes) -> dict[str, NDArray[Any]]:
+def unpack_arrays(data: bytes) -> dict[str, Array]:
     """Return the arrays that `pack_arrays` packed. No code in the data is executed.
 
     Raises:

@@ -16,17 +16,11 @@ _OURS: Final = ("behavexplor/", "highway_env.")
 
 @dataclass(frozen=True)
 class Code:
-    """Code that data names.
+    """Code that data names."""
 
-    Attributes:
-        key: key under which it is named, such as "ads".
-        name: the name, such as "my_driver:MyDriver".
-        module: name of the module that would be imported.
-    """
-
-    key: str
-    name: str
-    module: str
+    key: str  # key under which it is named, such as "ads"
+    name: str  # the name, such as "my_driver:MyDriver"
+    module: str  # name of the module that would be imported
 
     def __str__(self) -> str:
         """Return the key and the name for messages."""

@@ -49,15 +49,9 @@ class Routes(NamedTuple):
 
 
 def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
-    """Compute the motion of every NPC at given times.
+    """Compute x [m], y [m], heading [rad], speed [m/s] and acceleration [m/s2] of every NPC: (T, n_npcs, 5).
 
-    Args:
-        scenario: a scenario that is valid in the logical scenario of `roadmap`.
-        roadmap: the map.
-        time: times >= 0 in non-decreasing order, shape (T,) [s].
-
-    Returns:
-        x [m], y [m], heading [rad], speed [m/s] and acceleration [m/s2], shape (T, n_npcs, 5).
+    The scenario is valid on the map. The times are >= 0 and never decrease, shape (T,) [s].
     """
     table = np.empty((len(time), len(scenario.npcs), N_COLUMNS))
     index = route_index(roadmap)
@@ -67,16 +61,10 @@ def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
 
 
 def motion_on_route(roadmap: RoadMap, route: Route, waypoints: Floats, time: Floats) -> Floats:
-    """Compute the motion of vehicles on one route, each as if it were alone.
+    """Compute the motion of K vehicles on one route, each as if it were alone: x, y and heading, (K, T, 3).
 
-    Args:
-        roadmap: the map.
-        route: a route of NPCs of this map.
-        waypoints: position [m] and speed [m/s] of each vehicle's waypoints, shape (K, waypoints, 2).
-        time: times >= 0 in non-decreasing order, shape (T,) [s].
-
-    Returns:
-        x [m], y [m] and heading [rad], shape (K, T, 3).
+    Their waypoints are positions [m] and speeds [m/s], shape (K, waypoints, 2). The times are >= 0 and never decrease,
+    shape (T,) [s].
     """
     table = np.empty((len(waypoints), len(time), N_COLUMNS))
     for i in range(len(waypoints)):
@@ -134,15 +122,10 @@ def fill_frames(routes: Routes, route: int, phases: Floats, n_phases: int, time:
 
 @kernel_in_place
 def fill_phases(waypoints: Floats, phases: Floats) -> int:
-    """Compute an NPC's phases of constant acceleration. It stands still in the last phase.
+    """Compute an NPC's phases of constant acceleration, and return their number. It stands in the last one.
 
-    Args:
-        waypoints: position and speed of each waypoint, shape (waypoints, 2); see `waypoint_array`.
-        phases: filled with the time at which each phase begins [s], the station [m] and speed [m/s] at that time, and
-            the acceleration [m/s2]; shape (waypoints + 1 or more, 4).
-
-    Returns:
-        The number of phases.
+    The rows, of which there must be one more than waypoints, have the time at which a phase begins [s], the station [m]
+    and speed [m/s] then, and the acceleration [m/s2].
     """
     n = 0
     time, station, speed = 0.0, waypoints[0, 0], waypoints[0, 1]
@@ -170,14 +153,7 @@ def fill_phases(waypoints: Floats, phases: Floats) -> int:
 
 @kernel_inner
 def npc_at(routes: Routes, route: int, phase: Floats, time: float) -> tuple[float, float, float, float]:
-    """Compute the position x and y [m], heading [rad] and speed [m/s] of an NPC at a time in a phase.
-
-    Args:
-        routes: the routes of all NPCs.
-        route: row of the NPC's route.
-        phase: the current phase, shape (4,); see `fill_phases`.
-        time: the time [s].
-    """
+    """Compute the position x and y [m], heading [rad] and speed [m/s] of an NPC at a time in a phase."""
     since, speed, acceleration = time - phase[BEGIN], phase[PHASE_SPEED], phase[PHASE_ACCELERATION]
     station = phase[STATION] + since * (speed + 0.5 * acceleration * since)
     i = 0

@@ -4,19 +4,20 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Observation: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]]
+from behavexplor.data.array_types import Array
+
+Observation: TypeAlias = Array | Mapping[str, Array]
 
 
-def mapped(function: Callable[[NDArray[Any]], NDArray[Any]], observation: Any) -> Any:
+def mapped(function: Callable[[Array], Array], observation: Any) -> Any:
     """Return an observation with a function applied to its array, or to each of its arrays."""
     if isinstance(observation, Mapping):
         return {key: function(array) for key, array in observation.items()}
     return function(observation)
 
 
-def arrays_of(observation: Any) -> list[NDArray[Any]]:
+def arrays_of(observation: Any) -> list[Array]:
     """Return the arrays of an observation."""
     return list(observation.values()) if isinstance(observation, Mapping) else [observation]
 

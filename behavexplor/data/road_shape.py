@@ -25,20 +25,13 @@ _ON_LINE: Final = 0.01  # greatest distance of a lane's border from the line tha
 
 @dataclass(frozen=True, eq=False)
 class RoadShape:
-    """The shape of a road, with lengths in meters.
+    """The shape of a road, with lengths in meters."""
 
-    Attributes:
-        surfaces: polygons, each of shape (n, 2).
-        striped: lines between lanes, each of shape (n, 2).
-        borders: lines at the sides of roads, each of shape (n, 2).
-        line_kinds: kinds of the illegal lines in a trace.
-        routes: center lines of the routes of NPCs by name, each of shape (n, 2).
-    """
-
-    surfaces: tuple[Floats, ...]
-    striped: tuple[Floats, ...] = ()
-    borders: tuple[Floats, ...] = ()
-    line_kinds: tuple[str, ...] = ()
+    surfaces: tuple[Floats, ...]  # polygons, each of shape (n, 2)
+    striped: tuple[Floats, ...] = ()  # lines between lanes, each of shape (n, 2)
+    borders: tuple[Floats, ...] = ()  # lines at the sides of roads, each of shape (n, 2)
+    line_kinds: tuple[str, ...] = ()  # kinds of the illegal lines in a trace
+    # center lines of the routes of NPCs by name, each of shape (n, 2)
     routes: dict[str, Floats] = field(default_factory=dict)
 
     @property
@@ -48,12 +41,7 @@ class RoadShape:
         return sum(len(line) for line in (*self.surfaces, *self.striped, *self.borders)) + int(sum(lengths) / PERIOD)
 
     def dashes(self, low: Floats, high: Floats) -> list[Floats]:
-        """Return the dashes of the striped lines within a rectangle, each of shape (2, 2).
-
-        Args:
-            low: corner of the rectangle with the least coordinates, shape (2,) [m].
-            high: corner with the greatest coordinates, shape (2,) [m].
-        """
+        """Return the dashes of the striped lines in the rectangle from `low` to `high` [m], each of shape (2, 2)."""
         found = []
         for line in self.striped:
             ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
@@ -106,16 +94,11 @@ class SineLane(Lane):
     """A lane whose center line is a sine along a straight axis, as highway-env defines it.
 
     Stations and `length` are measured along the axis, and `x`, `y` and `heading` are those of the axis.
-
-    Attributes:
-        amplitude: amplitude of the sine [m].
-        pulsation: angular frequency along the axis [rad/m].
-        phase: phase at the start [rad].
     """
 
-    amplitude: float = 0.0
-    pulsation: float = 0.0
-    phase: float = 0.0
+    amplitude: float = 0.0  # amplitude of the sine [m]
+    pulsation: float = 0.0  # angular frequency along the axis [rad/m]
+    phase: float = 0.0  # phase at the start [rad]
 
     def pose(self, station: ArrayLike) -> Floats:
         """Compute the position and heading at some stations along the axis; see `Lane.pose`."""
@@ -129,19 +112,12 @@ class SineLane(Lane):
 
 @dataclass(frozen=True)
 class PlannedLane:
-    """A lane with its markings.
+    """A lane with its markings."""
 
-    Attributes:
-        lane: the lane.
-        left: marking of its left border: `NO_LINE`, `BROKEN`, `SOLID`, or a kind of an illegal line.
-        right: marking of its right border.
-        speed_limit: speed limit [m/s]; None without one.
-    """
-
-    lane: Lane
-    left: str
-    right: str
-    speed_limit: float | None
+    lane: Lane  # the lane
+    left: str  # marking of its left border: `NO_LINE`, `BROKEN`, `SOLID`, or a kind of an illegal line
+    right: str  # marking of its right border
+    speed_limit: float | None  # speed limit [m/s]; None without one
 
 
 RoadPlan = tuple[PlannedLane, ...]

@@ -21,40 +21,21 @@ class Lane:
     """A lane with a straight or circular center line and a constant width.
 
     Lanes with the same `origin` and `target` run side by side and are listed from left to right.
-
-    Attributes:
-        name: name of the lane, unique within the map.
-        origin: node at which the lane begins.
-        target: node at which the lane ends.
-        x: start of the center line [m].
-        y: start of the center line [m].
-        heading: heading at the start [rad].
-        length: length of the center line [m].
-        width: width of the lane [m].
-        curvature: curvature of the center line [1/m], positive for a right turn, 0 for a straight lane.
-        junction: whether the lane crosses a junction.
     """
 
-    name: str
-    origin: str
-    target: str
-    x: float
-    y: float
-    heading: float
-    length: float
-    width: float
-    curvature: float = 0.0
-    junction: bool = False
+    name: str  # name of the lane, unique within the map
+    origin: str  # node at which the lane begins
+    target: str  # node at which the lane ends
+    x: float  # start of the center line [m]
+    y: float  # start of the center line [m]
+    heading: float  # heading at the start [rad]
+    length: float  # length of the center line [m]
+    width: float  # width of the lane [m]
+    curvature: float = 0.0  # curvature of the center line [1/m], positive for a right turn, 0 for a straight lane
+    junction: bool = False  # whether the lane crosses a junction
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Compute the position and heading at some stations. The lane is continued beyond its ends.
-
-        Args:
-            station: distances from the start of the lane, shape (...) [m].
-
-        Returns:
-            x [m], y [m] and heading [rad], shape (..., 3).
-        """
+        """Compute x [m], y [m] and heading [rad] at stations, shape (..., 3). The lane continues beyond its ends."""
         s = np.asarray(station, dtype=np.float64)
         heading = self.heading + self.curvature * s
         if self.curvature == 0.0:
@@ -93,15 +74,10 @@ class Lane:
 
 @dataclass(frozen=True)
 class Route:
-    """A sequence of connected lanes. Stations are distances from the start of the first lane.
+    """A sequence of connected lanes. Stations are distances from the start of the first lane."""
 
-    Attributes:
-        name: name of the route, unique among the map's routes.
-        lanes: one or more lanes, each beginning where the previous one ends.
-    """
-
-    name: str
-    lanes: tuple[Lane, ...]
+    name: str  # name of the route, unique among the map's routes
+    lanes: tuple[Lane, ...]  # one or more lanes, each beginning where the previous one ends
 
     @cached_property
     def bounds(self) -> Floats:
@@ -114,14 +90,7 @@ class Route:
         return float(self.bounds[-1])
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Compute the position and heading at some stations. The outer lanes are continued beyond the route's ends.
-
-        Args:
-            station: distances from the start of the route, shape (...) [m].
-
-        Returns:
-            x [m], y [m] and heading [rad], shape (..., 3).
-        """
+        """Compute x [m], y [m] and heading [rad] at stations, (..., 3). The outer lanes continue beyond the ends."""
         s = np.asarray(station, dtype=np.float64)
         index = np.searchsorted(self.bounds[1:-1], s, side="right")
         poses = np.empty((*s.shape, 3))
@@ -152,28 +121,17 @@ class Route:
 
 @dataclass(frozen=True, eq=False)
 class RoadMap:
-    """The map of a functional scenario, with the ego's start and destination.
+    """The map of a functional scenario, with the ego's start and destination."""
 
-    Attributes:
-        lanes: all lanes. Parallel lanes are ordered from left to right.
-        npc_routes: possible routes of NPCs.
-        ego_route: route to the ego's destination and past it.
-        ego_start: station on the ego's route at which the ego starts [m].
-        destination: station on the ego's route that the ego must reach [m].
-        illegal_lines: end points of the lines that must not be touched, read-only, shape (L, 2, 2) [m].
-        line_kinds: kind of each illegal line, `DOUBLE_YELLOW` or `CURB`.
-        speed_limit: speed limit on all lanes [m/s].
-        ego_offset: offset of the ego's start to the right of its route [m], not 0 if the ego has to change lanes.
-    """
-
-    lanes: tuple[Lane, ...]
-    npc_routes: tuple[Route, ...]
-    ego_route: Route
-    ego_start: float
-    destination: float
-    illegal_lines: Floats
-    line_kinds: tuple[str, ...]
-    speed_limit: float
+    lanes: tuple[Lane, ...]  # all lanes. Parallel lanes are ordered from left to right.
+    npc_routes: tuple[Route, ...]  # possible routes of NPCs
+    ego_route: Route  # route to the ego's destination and past it
+    ego_start: float  # station on the ego's route at which the ego starts [m]
+    destination: float  # station on the ego's route that the ego must reach [m]
+    illegal_lines: Floats  # end points of the lines that must not be touched, read-only, shape (L, 2, 2) [m]
+    line_kinds: tuple[str, ...]  # kind of each illegal line, `DOUBLE_YELLOW` or `CURB`
+    speed_limit: float  # speed limit on all lanes [m/s]
+    # offset of the ego's start to the right of its route [m], not 0 if the ego has to change lanes
     ego_offset: float = 0.0
 
     def __post_init__(self) -> None:

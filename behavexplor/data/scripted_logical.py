@@ -68,14 +68,7 @@ class ScriptedEncoding:
         return ROUTE if rng.random() < 0.5 else int(rng.choice(self.speed_genes))
 
     def decode(self, vector: Floats) -> ScriptedScenario:
-        """Decode a vector to a scenario.
-
-        Args:
-            vector: genes, shape (n,). Values beyond [0, 1] are clipped.
-
-        Returns:
-            A scenario that is valid in `logical`.
-        """
+        """Decode genes, shape (n,), to a valid scenario. Values beyond [0, 1] are clipped."""
         vector = np.asarray(vector, dtype=np.float64)
         if vector.shape != (self.size,) or not np.isfinite(vector).all():
             raise InputError(f"vector: expected {self.size} finite numbers, got shape {vector.shape}")
@@ -85,30 +78,18 @@ class ScriptedEncoding:
         return ScriptedScenario(self.logical.name, tuple(npcs))
 
     def encode(self, scenario: ScriptedScenario) -> Floats:
-        """Encode a scenario as a vector. `decode` restores it to six decimals.
+        """Encode a valid scenario with an NPC for each block as genes, shape (n,). `decode` restores six decimals.
 
         The genes of type and route are the middles of their parts of [0, 1].
-
-        Args:
-            scenario: a scenario that is valid in `logical` and has an NPC for each block.
-
-        Returns:
-            Genes, shape (n,).
         """
         if len(scenario.npcs) != self.n_blocks:
             raise InputError(f"npcs: expected {self.n_blocks}, got {len(scenario.npcs)}")
         return np.concatenate([self._block(npc) for npc in scenario.npcs])
 
     def features(self, vectors: Floats) -> Floats:
-        """Convert vectors to features for distances and regression.
+        """Convert vectors of genes, shape (k, n), to features for distances and regression, shape (k, features).
 
         Types and routes are one-hot: any two different types, or routes, are at distance 1.
-
-        Args:
-            vectors: genes, shape (k, n).
-
-        Returns:
-            Features, shape (k, n_blocks * (types + routes + n_genes - 2)).
         """
         blocks = vectors.reshape(len(vectors), self.n_blocks, self.n_genes)
         parts = [
@@ -178,12 +159,6 @@ def shift_waypoints(npc: NPC, logical: ScriptedRanges, rng: np.random.Generator,
 
     A waypoint stays in its lane. Waypoints on one lane that overtook each other are sorted. Speeds stay in their range,
     and the last one stays 0.
-
-    Args:
-        npc: an NPC that is valid in `logical`.
-        logical: logical scenario with the lanes and the speed range.
-        rng: random generator.
-        noise: size of the noise.
     """
     low, high = logical.position_ranges(logical.roadmap.routes[npc.route]).T
     values = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])
@@ -318,11 +293,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
 
 
 def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
-    """Return a logical scenario of scripted vehicles as what it is.
-
-    Args:
-        logical: any logical scenario.
-        what: what needs scripted vehicles, for the error message.
+    """Return a logical scenario of scripted vehicles as what it is; `what` needs it, for the error message.
 
     Raises:
         InputError: if it is one of a highway-env environment.

@@ -23,29 +23,18 @@ _MARGIN: Final = 1e-6  # much more than roundings change a distance [m]
 
 @dataclass(frozen=True)
 class ScriptedRanges:
-    """The parameters of a functional scenario and their ranges.
+    """The parameters of a functional scenario and their ranges."""
 
-    Attributes:
-        name: name of the functional scenario, such as "intersection-straight".
-        roadmap: the map.
-        n_npcs: number of NPCs in a sampled scenario, and the greatest number in any scenario.
-        waypoints_per_lane: number of waypoints that an NPC has on each lane of its route.
-        min_speed: least speed at every waypoint except the last one [m/s]; the greatest speed is the speed limit.
-        end_gap: least distance of a starting NPC's center from the ends of its first lane [m].
-        npc_gap: least distance between the centers of NPCs that start in the same lane [m].
-        ego_gap: least distance between the centers of the ego and a starting NPC [m].
-        vehicle_types: possible vehicle types of NPCs.
-    """
-
-    name: str
-    roadmap: RoadMap
-    n_npcs: int
-    waypoints_per_lane: int
+    name: str  # name of the functional scenario, such as "intersection-straight"
+    roadmap: RoadMap  # the map
+    n_npcs: int  # number of NPCs in a sampled scenario, and the greatest number in any scenario
+    waypoints_per_lane: int  # number of waypoints that an NPC has on each lane of its route
+    # least speed at every waypoint except the last one [m/s]; the greatest speed is the speed limit
     min_speed: float = 0.2
-    end_gap: float = 2.5
-    npc_gap: float = 8.0
-    ego_gap: float = 15.0
-    vehicle_types: tuple[str, ...] = field(default=tuple(VEHICLE_SIZES))
+    end_gap: float = 2.5  # least distance of a starting NPC's center from the ends of its first lane [m]
+    npc_gap: float = 8.0  # least distance between the centers of NPCs that start in the same lane [m]
+    ego_gap: float = 15.0  # least distance between the centers of the ego and a starting NPC [m]
+    vehicle_types: tuple[str, ...] = field(default=tuple(VEHICLE_SIZES))  # possible vehicle types of NPCs
 
     @property
     def speed_range(self) -> tuple[float, float]:
@@ -206,23 +195,14 @@ class _Range(NamedTuple):
 
 
 class _Placed(NamedTuple):
-    """Where a vehicle starts.
+    """Where a vehicle starts."""
 
-    Attributes:
-        x: center of its box [m].
-        y: center of its box [m].
-        heading: heading [rad].
-        size: length and width [m].
-        radius: radius of the circle around its box [m].
-        lane: lane in which it starts.
-    """
-
-    x: float
-    y: float
-    heading: float
-    size: tuple[float, float]
-    radius: float
-    lane: Lane
+    x: float  # center of its box [m]
+    y: float  # center of its box [m]
+    heading: float  # heading [rad]
+    size: tuple[float, float]  # length and width [m]
+    radius: float  # radius of the circle around its box [m]
+    lane: Lane  # lane in which it starts
 
 
 def _gap(a: _Placed, b: _Placed) -> float:

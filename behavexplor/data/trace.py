@@ -10,7 +10,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats, Ints
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.data.durable import write_durably
 from behavexplor.data.motion_bytes import MOST_VALUES, pack_arrays, pack_motion, unpack_arrays, unpack_motion
 from behavexplor.data.untrusted import MAX_ARRAY_BYTES, read_file
@@ -203,7 +203,7 @@ class Trace:
             present=self.present[:frames],
         )
 
-    def with_decisions(self, decisions: Mapping[str, NDArray[Any]]) -> Self:
+    def with_decisions(self, decisions: Mapping[str, Array]) -> Self:
         """Return the same trace with another log of the ADS.
 
         Args:
@@ -219,7 +219,7 @@ class Trace:
         return changed
 
     @classmethod
-    def of_valid(cls, *, end: str, **arrays: NDArray[Any]) -> Self:
+    def of_valid(cls, *, end: str, **arrays: Array) -> Self:
         """Return a trace of arrays that are known to be valid, without the time that checking and copying them takes.
 
         Args:
@@ -301,13 +301,13 @@ _ALL_PRESENT.setflags(write=False)
 _ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in _OTHERS)
 
 
-def _whole_number(name: str, value: NDArray[Any]) -> int:
+def _whole_number(name: str, value: Array) -> int:
     if np.shape(value) != () or value.dtype.kind not in "iu":
         raise InputError(f"{name}: expected a whole number, got {' '.join(repr(value).split())[:80]}")
     return int(value)
 
 
-def _part(values: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+def _part(values: Mapping[str, Array], prefix: str) -> dict[str, Array]:
     """Return the arrays whose names begin with a prefix, without the prefix."""
     return {name.removeprefix(prefix): values[name] for name in values if name.startswith(prefix)}
 
@@ -319,7 +319,7 @@ def _frozen_mapping(name: str, values: Any) -> Mapping[str, Floats]:
     return MappingProxyType({key: _frozen(f"{name}[{key!r}]", values[key], np.float64) for key in sorted(values)})
 
 
-def _frozen(name: str, values: Any, kind: type[np.generic], step: float | None = None) -> NDArray[Any]:
+def _frozen(name: str, values: Any, kind: type[np.generic], step: float | None = None) -> Array:
     """Return a read-only array of the same values, rounded to multiples of `step` if that is given.
 
     Values that are not numbers, or would lose a fraction, are refused.
@@ -334,7 +334,7 @@ def _frozen(name: str, values: Any, kind: type[np.generic], step: float | None =
         raise InputError(f"{name}: every value must be a whole number")
     if step is None and given.dtype == kind and given.base is None and not given.flags.writeable:
         return given  # the arrays of a map belong to all its traces
-    array: NDArray[Any] = given.astype(kind)
+    array: Array = given.astype(kind)
     if step is not None:
         array /= step
         np.rint(array, out=array)
@@ -343,7 +343,7 @@ def _frozen(name: str, values: Any, kind: type[np.generic], step: float | None =
     return array
 
 
-def _rows(array: NDArray[Any]) -> int:
+def _rows(array: Array) -> int:
     return array.shape[0] if array.ndim else 1
 
 

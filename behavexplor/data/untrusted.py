@@ -10,8 +10,8 @@ from zipfile import ZipFile
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Array
 from behavexplor.errors import InputError, brief
 
 MAX_NODES: Final = 100_000  # nodes in a YAML file; an alias counts as often as it is used
@@ -26,13 +26,9 @@ _INTEGER: Final = "tag:yaml.org,2002:int"
 
 
 def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) -> bytes:
-    """Return the contents of a file, unless it is too large.
+    """Return the contents of a file of at most `most` bytes.
 
-    Args:
-        path: path of the file.
-        most: greatest size [bytes].
-        pipes: whether it may be a pipe, for a file that a user names. A pipe in a folder of someone else would be
-            waited for without end.
+    It may be a pipe only if a user names it (`pipes`): one in a folder of someone else would be waited for without end.
 
     Raises:
         InputError: if it is not a regular file, or too large.
@@ -53,10 +49,6 @@ def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) ->
 
 def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
     """Return the value of a YAML document.
-
-    Args:
-        text: the document.
-        loader: YAML loader class that constructs the values.
 
     Raises:
         ValueError: if the text is not YAML, or its value would become too large or too deep.
@@ -99,11 +91,7 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
 
 
 def parse_json(text: str, what: str) -> Any:
-    """Return the value of a JSON document.
-
-    Args:
-        text: the document.
-        what: what the document should be, for error messages, such as "a scenario".
+    """Return the value of a JSON document. `what` says for error messages what it should be, such as "a scenario".
 
     Raises:
         InputError: if the text is too long or not JSON.
@@ -133,7 +121,7 @@ def object_fields(what: str, value: object, names: tuple[str, ...]) -> dict[str,
     return value
 
 
-def read_arrays(data: bytes) -> Mapping[str, NDArray[Any]]:
+def read_arrays(data: bytes) -> Mapping[str, Array]:
     """Read the arrays in an npz file, by name. No code in the file is executed.
 
     Raises:

@@ -16,12 +16,7 @@ LARGEST: Final = 100_000  # no count, share or distance makes sense beyond it, a
 
 
 def between(low: float, high: float = LARGEST) -> AfterValidator:
-    """Return an annotation that limits a number to a range.
-
-    Args:
-        low: least value.
-        high: greatest value.
-    """
+    """Return an annotation that limits a number to a range."""
 
     def check(value: float, info: ValidationInfo) -> float:
         if not low <= value <= high:

@@ -5,13 +5,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
-import numpy as np
 from highway_env.envs.common.action import action_factory
 from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Array, Bytes
 from behavexplor.data.conventions import TERMINAL
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
@@ -171,14 +170,10 @@ class DrivingEnv(PlainSimulation):
             self.action_space = self.action_type.space()
             self._has_new_config = False
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[Any], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode.
 
-        Args:
-            seed: seed of the generator that samples scenarios.
-            options: the concrete scenario to run, under the key `scenario`. Without it a scenario is sampled.
+        `options` has the concrete scenario to run, under the key `scenario`. Without it a scenario is sampled.
 
         Raises:
             InputError: if the scenario cannot be run in this environment, or an option is unknown.
@@ -351,7 +346,7 @@ class DrivingEnv(PlainSimulation):
     def _trace(self, end: str) -> Trace:
         return super()._trace(end) if self._slot is None else self._slot.trace()
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> Bytes | None:
         """Render the scene from above: double yellow lines, curbs, routes, and every vehicle at its own size."""
         if self.render_mode is not None and self.viewer is None:
             self.viewer = MapViewer(self)

@@ -15,29 +15,9 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
+from behavexplor.envs import values as kinds
 from behavexplor.envs.observation_types import FEATURES, ORDERS
 from behavexplor.envs.tasks.scripted_outcome import WEIGHTS
-from behavexplor.envs.values import (
-    COUNT,
-    EVEN_NUMBERS,
-    FLAG,
-    IMAGE_SHAPE,
-    NOT_NEGATIVE,
-    NUMBER,
-    NUMBER_RANGES,
-    POSITIVE,
-    RANGE,
-    THREE_NUMBERS,
-    TWO_NUMBERS,
-    TWO_POSITIVE,
-    TWO_RANGES,
-    WHOLE,
-    Kind,
-    names,
-    one_of,
-    optional,
-    shown,
-)
 from behavexplor.errors import InputError, unknown_name
 
 OBSERVATIONS = MappingProxyType(  # highway-env's types that suit a single vehicle with a destination
@@ -65,50 +45,50 @@ UNREAD_KEYS: Mapping[str, frozenset[str]] = MappingProxyType(
         "action": frozenset({"target_speeds"}),
     }
 )
-_KINDS: Mapping[str, Kind] = {  # keys of the configuration itself
-    "simulation_frequency": COUNT,
-    "policy_frequency": COUNT,
-    "duration": POSITIVE,
-    "screen_width": COUNT,
-    "screen_height": COUNT,
-    "centering_position": TWO_NUMBERS,
-    "scaling": POSITIVE,
-    "offscreen_rendering": optional(FLAG),
-    "real_time_rendering": FLAG,
+_KINDS: Mapping[str, kinds.Kind] = {  # keys of the configuration itself
+    "simulation_frequency": kinds.COUNT,
+    "policy_frequency": kinds.COUNT,
+    "duration": kinds.POSITIVE,
+    "screen_width": kinds.COUNT,
+    "screen_height": kinds.COUNT,
+    "centering_position": kinds.TWO_NUMBERS,
+    "scaling": kinds.POSITIVE,
+    "offscreen_rendering": kinds.optional(kinds.FLAG),
+    "real_time_rendering": kinds.FLAG,
 }
-_TYPE_KINDS: Mapping[str, Kind] = {  # keys of observations and actions
-    "absolute": FLAG,
-    "acceleration_range": optional(RANGE),
-    "actions_per_axis": COUNT,
-    "align_to_vehicle_axes": FLAG,
-    "as_image": FLAG,
-    "cells": COUNT,
-    "centering_position": optional(TWO_NUMBERS),
-    "clip": FLAG,
-    "dynamical": FLAG,
-    "features": optional(names(FEATURES)),
-    "features_range": optional(NUMBER_RANGES),
-    "flatten": FLAG,
-    "grid_size": optional(TWO_RANGES),
-    "grid_step": optional(TWO_POSITIVE),
-    "horizon": COUNT,
-    "include_obstacles": FLAG,
-    "lateral": FLAG,
-    "longitudinal": FLAG,
-    "maximum_range": POSITIVE,
-    "normalize": FLAG,
-    "observation_shape": IMAGE_SHAPE,
-    "observe_intentions": FLAG,
-    "order": one_of(ORDERS),
-    "scaling": optional(POSITIVE),
-    "see_behind": FLAG,
-    "speed_range": optional(RANGE),
-    "stack_size": COUNT,
-    "steering_range": optional(RANGE),
-    "target_speeds": optional(EVEN_NUMBERS),
-    "vehicles_count": COUNT,
-    "weights": THREE_NUMBERS,
-    "OccupancyGrid.features": optional(names((*FEATURES, "on_road"))),
+_TYPE_KINDS: Mapping[str, kinds.Kind] = {  # keys of observations and actions
+    "absolute": kinds.FLAG,
+    "acceleration_range": kinds.optional(kinds.RANGE),
+    "actions_per_axis": kinds.COUNT,
+    "align_to_vehicle_axes": kinds.FLAG,
+    "as_image": kinds.FLAG,
+    "cells": kinds.COUNT,
+    "centering_position": kinds.optional(kinds.TWO_NUMBERS),
+    "clip": kinds.FLAG,
+    "dynamical": kinds.FLAG,
+    "features": kinds.optional(kinds.names(FEATURES)),
+    "features_range": kinds.optional(kinds.NUMBER_RANGES),
+    "flatten": kinds.FLAG,
+    "grid_size": kinds.optional(kinds.TWO_RANGES),
+    "grid_step": kinds.optional(kinds.TWO_POSITIVE),
+    "horizon": kinds.COUNT,
+    "include_obstacles": kinds.FLAG,
+    "lateral": kinds.FLAG,
+    "longitudinal": kinds.FLAG,
+    "maximum_range": kinds.POSITIVE,
+    "normalize": kinds.FLAG,
+    "observation_shape": kinds.IMAGE_SHAPE,
+    "observe_intentions": kinds.FLAG,
+    "order": kinds.one_of(ORDERS),
+    "scaling": kinds.optional(kinds.POSITIVE),
+    "see_behind": kinds.FLAG,
+    "speed_range": kinds.optional(kinds.RANGE),
+    "stack_size": kinds.COUNT,
+    "steering_range": kinds.optional(kinds.RANGE),
+    "target_speeds": kinds.optional(kinds.EVEN_NUMBERS),
+    "vehicles_count": kinds.COUNT,
+    "weights": kinds.THREE_NUMBERS,
+    "OccupancyGrid.features": kinds.optional(kinds.names((*FEATURES, "on_road"))),
 }
 _WITHOUT_EFFECT = {  # highway-env's keys; they stay in the `config`, since highway-env's code reads some of them
     "manual_control",
@@ -131,12 +111,7 @@ _OF_HIGHWAY_ENV: Final = "highway_env."
 
 
 def default_config(simulator: Mapping[str, Any], logical: ScriptedLogicalScenario) -> dict[str, Any]:
-    """Return the default configuration of an environment.
-
-    Args:
-        simulator: highway-env's default configuration.
-        logical: the environment's logical scenario.
-    """
+    """Return the default configuration of an environment."""
     config = dict(simulator) | {
         "observation": default_observation(logical),
         "action": {"type": "ContinuousAction"},
@@ -181,12 +156,12 @@ def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     if "TimeToCollision" in _types(changed["observation"]) and changed["action"]["type"] != "DiscreteMetaAction":
         raise InputError("The observation type TimeToCollision needs the action type DiscreteMetaAction")
     for name, weight in changed["reward"].items():
-        NUMBER.check(f"reward.{name}", weight)
+        kinds.NUMBER.check(f"reward.{name}", weight)
     for key, kind in _KINDS.items():
         kind.check(key, changed[key])
     for key in _WITHOUT_EFFECT:
         if changed[key] is not config[key]:
-            raise InputError(f"{key}: {shown(changed[key])} has no effect in these environments; leave it out")
+            raise InputError(f"{key}: {kinds.shown(changed[key])} has no effect in these environments; leave it out")
     _check_times(changed)
     return changed
 
@@ -199,9 +174,13 @@ def changed_logical(logical: ScriptedLogicalScenario, changes: Mapping[str, Any]
     """
     if not changes:
         return logical
-    kinds = {"n_npcs": WHOLE, "waypoints_per_lane": COUNT, "vehicle_types": names(logical.vehicle_types)}
+    ranged = {
+        "n_npcs": kinds.WHOLE,
+        "waypoints_per_lane": kinds.COUNT,
+        "vehicle_types": kinds.names(logical.vehicle_types),
+    }
     for name, value in changes.items():
-        kinds.get(name, NOT_NEGATIVE).check(f"logical.{name}", value)
+        ranged.get(name, kinds.NOT_NEGATIVE).check(f"logical.{name}", value)
     values: dict[str, Any] = dict(changes)
     if "vehicle_types" in values:
         values["vehicle_types"] = tuple(values["vehicle_types"])
@@ -231,7 +210,7 @@ def _check_observation(what: str, config: object, types: Mapping[str, type | Non
         parts = settings["observation_configs"]
         if not isinstance(parts, list | tuple) or not 1 <= len(parts) <= MAX_PARTS:
             wanted = f"a list of 1 to {MAX_PARTS} observations"
-            raise InputError(f"{what}.observation_configs: expected {wanted}, got {shown(parts)}")
+            raise InputError(f"{what}.observation_configs: expected {wanted}, got {kinds.shown(parts)}")
         inner = {name: kind for name, kind in types.items() if kind and name != "TupleObservation"}
         for i, part in enumerate(parts):
             _check_observation(f"{what}.observation_configs[{i}]", part, inner)
@@ -251,11 +230,6 @@ def _types(observation: Mapping[str, Any]) -> list[str]:
 
 def check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
     """Check the configuration of an observation or action: highway-env reads every key, and needs no other.
-
-    Args:
-        what: what it configures, for messages: "observation" or "action", perhaps with the place of a part.
-        config: the configuration.
-        types: highway-env's classes by the names that `config["type"]` may have.
 
     Raises:
         InputError: if a key is unknown or missing, or a value is out of range.
@@ -288,22 +262,16 @@ def _check_keys(what: str, values: Mapping[str, Any], known: object) -> None:
 
 def _mapping(what: str, value: object) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(f"{what}: expected keys and values, got {shown(value)}")
+        raise InputError(f"{what}: expected keys and values, got {kinds.shown(value)}")
     return value
 
 
 class _Known(NamedTuple):
-    """What an environment knows of its observations, or of its actions.
+    """What an environment knows of its observations, or of its actions."""
 
-    Attributes:
-        types: highway-env's classes by the names that `type` may have.
-        keys: keys that any of these types takes, or that the environment's own configuration has.
-        features: features of a vehicle.
-    """
-
-    types: Mapping[str, Any]
-    keys: frozenset[str]
-    features: frozenset[str]
+    types: Mapping[str, Any]  # highway-env's classes by the names that `type` may have
+    keys: frozenset[str]  # keys that any of these types takes, or that the environment's own configuration has
+    features: frozenset[str]  # features of a vehicle
 
 
 def check_space_keys(env: AbstractEnv, config: Mapping[str, Any]) -> None:
@@ -311,10 +279,6 @@ def check_space_keys(env: AbstractEnv, config: Mapping[str, Any]) -> None:
 
     A key of another type is not refused: configurations keep such keys when their type is changed, and highway-env's
     own documentation has some. An environment that makes its own observations may read any key.
-
-    Args:
-        env: the environment in its own configuration.
-        config: the configuration.
 
     Raises:
         InputError: if one is unknown; the message names it, and the nearest match.
@@ -331,7 +295,7 @@ def check_space_keys(env: AbstractEnv, config: Mapping[str, Any]) -> None:
 def _check(what: str, settings: object, known: _Known) -> None:
     """Check the configuration of an observation or action, and of its parts."""
     if not isinstance(settings, Mapping):
-        raise InputError(f"{what}: expected keys and values, got {shown(settings)}")
+        raise InputError(f"{what}: expected keys and values, got {kinds.shown(settings)}")
     if "type" not in settings:
         raise InputError(
             f"{what} needs a type, such as {next(iter(known.types))}: highway-env keeps none of its default"

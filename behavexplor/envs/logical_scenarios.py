@@ -41,12 +41,9 @@ TURNS = {"left": -math.pi / 2, "straight": 0.0, "right": math.pi / 2}  # change 
 
 
 def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
-    """Build an unsignalized intersection of two four-lane roads. The ego comes from the south on the inner lane.
+    """Build an unsignalized intersection of two four-lane roads; the ego comes from the south, on the inner lane.
 
-    Args:
-        movement: the ego's movement at the intersection, "straight" or "left".
-        ego_start: distance of the ego's start into its approach lane [m].
-        destination: distance of the ego's destination into its exit lane [m].
+    Its start and destination are distances into its approach lane and its exit lane [m].
     """
     lanes = {lane.name: lane for lane in _crossing_lanes()}
     routes = [
@@ -72,11 +69,7 @@ def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
 def straight_road(start_lane: int, target_lane: int, ego_start: float, destination: float) -> RoadMap:
     """Build a straight road with four lanes in one direction, beside the lanes of the opposite direction.
 
-    Args:
-        start_lane: number of the lane in which the ego starts, counted from the left and from 0.
-        target_lane: number of the lane in which its destination lies, counted in the same way.
-        ego_start: distance of the ego's start into its lane [m].
-        destination: distance of the ego's destination into the target lane [m].
+    Lanes are counted from the left and from 0; the ego's start and destination are distances into them [m].
     """
     lanes = {lane.name: lane for lane in _road_lanes()}
     routes = [Route(f"lane-{i + 1}", (lanes[f"road-{i + 1}"], lanes[f"onward-{i + 1}"])) for i in range(ROAD_LANES)]

@@ -126,14 +126,13 @@ def make_env(
 ) -> gymnasium.Env[Any, Any]:
     """Make an environment that runs concrete scenarios.
 
+    It takes `reset(options={"scenario": ...})`, and ends an episode with `info["trace"]`.
+
     Args:
         name: name of the environment, see `environment_id`.
         config: configuration of the environment, as far as it differs from its own.
         traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
         render_mode: what `render` returns or shows, as in gymnasium.
-
-    Returns:
-        An environment that takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
 
     Raises:
         InputError: if there is no such environment, it cannot be configured, or one driver cannot drive in it.
@@ -154,17 +153,7 @@ def drawn(
     traffic: Traffic = DEFAULT,
     render_mode: str | None = None,
 ) -> gymnasium.Env[Any, Any]:
-    """Make `behavexplor/drawn-v0`: an environment of highway-env that takes `reset(options={"scenario": ...})`.
-
-    Args:
-        env: id of the environment.
-        config: its configuration, as far as it differs from its own.
-        traffic: kind of traffic, see `behavexplor.data.drawn_scenario.Setup`.
-        render_mode: what `render` returns or shows, as in gymnasium.
-
-    Raises:
-        InputError: see `make_env`.
-    """
+    """Make `behavexplor/drawn-v0`: an environment of highway-env that takes `reset(options={"scenario": ...})`."""
     return make_env(env, config or {}, traffic, render_mode)
 
 
@@ -212,17 +201,10 @@ def _check_times(env: gymnasium.Env[Any, Any]) -> None:
 def make_vector_env(
     env: gymnasium.Env[Any, Any], num_envs: int, changes: Mapping[str, Any], *, rewards: bool = False
 ) -> VectorEnv[Any, Any, Any] | None:
-    """Make the vector form of an environment, with autoreset disabled.
+    """Make the vector form of an environment of `make_env`, with autoreset disabled; None if it has none.
 
-    Args:
-        env: an environment that `make_env` made. The vector form of a highway-env environment begins its episodes in
-        it.
-        num_envs: number of sub-environments.
-        changes: keys of the configuration that replace those of the environment.
-        rewards: whether rewards are needed. Without them, a compiled environment takes its steps faster.
-
-    Returns:
-        The vector environment; None if the environment has none.
+    That of a highway-env environment begins its episodes in it. `changes` replace keys of its configuration. Without
+    `rewards`, a compiled environment takes its steps faster.
 
     Raises:
         InputError: if the vector form does not support the configuration.

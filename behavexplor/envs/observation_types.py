@@ -7,9 +7,9 @@ from gymnasium import spaces
 from highway_env.envs.common.observation import KinematicObservation, ObservationType
 from highway_env.road.lane import AbstractLane
 from highway_env.vehicle.kinematics import Vehicle
-from numpy.typing import NDArray
 
 from behavexplor.data import scene
+from behavexplor.data.array_types import Array, Floats
 
 FEATURES = (
     *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"),
@@ -33,9 +33,9 @@ class Kinematics(KinematicObservation):  # type: ignore[misc]
         super().__init__(env, **config)
         self.features = list(self.features)
 
-    def observe(self) -> NDArray[Any]:
+    def observe(self) -> Array:
         """Return the observation of the current state."""
-        rows: NDArray[Any] = super().observe()[: self.vehicles_count]
+        rows: Array = super().observe()[: self.vehicles_count]
         return rows
 
     def n_side_lanes(self) -> int:
@@ -64,7 +64,7 @@ class SceneObservation(ObservationType):  # type: ignore[misc]
         """Return the observation space."""
         return spaces.Box(-np.inf, np.inf, shape=self._shape, dtype=np.float64)
 
-    def observe(self) -> NDArray[np.float64]:
+    def observe(self) -> Floats:
         """Return the current scene."""
         rows = np.zeros(self._shape)
         for row, vehicle in zip(rows, self.env.road.vehicles if self.env.road else [], strict=False):

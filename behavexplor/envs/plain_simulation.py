@@ -42,14 +42,7 @@ DOUBLE_LINE_GAP = 0.15  # distance of either line from the middle [m]
 
 
 class Recorder:
-    """Recorder of everything that goes into the trace of one episode.
-
-    Args:
-        roadmap: the map.
-        time: times of the simulation steps, shape (T,) [s].
-        motion: the NPCs' motion table at these times, shape (T, n_npcs, 5).
-        sizes: length and width of the ego and of every NPC [m].
-    """
+    """Recorder of everything that goes into the trace of one episode."""
 
     def __init__(self, roadmap: RoadMap, time: Floats, motion: Floats, sizes: Sequence[tuple[float, float]]) -> None:
         self._roadmap = roadmap

@@ -53,10 +53,9 @@ _NUMPY = SimpleNamespace(
 def with_c_library(function: Function) -> Function:
     """Return a copy of a function that uses the C library and plain dot products, for use in a method of a subclass.
 
-    Args:
-        function: a function of highway-env, looked up at each call, since a program may replace it. Its module imports
-            numpy as `np`, and it applies trigonometry to scalars, and `dot` and `linalg.norm` to vectors of length 2.
-            A callable of another type is returned as it is.
+    The function is looked up at each call, since a program may replace it. Its module imports numpy as `np`, and it
+    applies trigonometry to scalars, and `dot` and `linalg.norm` to vectors of length 2. A callable of another type is
+    returned as it is.
     """
     if not isinstance(function, FunctionType):
         return function
@@ -207,12 +206,6 @@ def place_ego(make: Callable[..., Vehicle], road: Road, pose: Floats, route: lis
 
     highway-env's own collision response is switched off: it flags collisions too early or without contact, and pushes
     vehicles apart. The environment computes contact instead.
-
-    Args:
-        make: the vehicle class of highway-env's action type.
-        road: the road on which the ego drives.
-        pose: x [m], y [m] and heading [rad] of the start, shape (3,).
-        route: highway-env's indexes of the lanes that the ego follows.
     """
     ego = _ego_class(make)(road, pose[:2], heading=float(pose[2]), speed=0.0)
     set_size(ego, EGO_SIZE)
@@ -232,14 +225,7 @@ def _ego_class(make: Callable[..., Vehicle]) -> Callable[..., Vehicle]:
 
 
 class ScriptedVehicle(Vehicle):  # type: ignore[misc]
-    """An NPC that plays back its motion table, one row for each step of the simulation.
-
-    Args:
-        road: the road on which the NPC drives.
-        size: length and width [m].
-        motion: the NPC's part of `behavexplor.data.npc_motion.motion_table`, shape (T, 5).
-        route: highway-env's indexes of the lanes that the NPC follows.
-    """
+    """An NPC that plays back its motion table, shape (T, 5), one row for each step of the simulation."""
 
     def __init__(self, road: Road, size: tuple[float, float], motion: Floats, route: list[LaneIndex]) -> None:
         self._motion = motion

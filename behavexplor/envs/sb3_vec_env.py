@@ -9,12 +9,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from highway_env.envs.common.abstract import AbstractEnv
-from numpy.typing import NDArray
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from behavexplor.data.array_types import Array, Bools, Bytes
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.observations import mapped
 from behavexplor.data.scenario import Scenario
@@ -37,7 +37,7 @@ class LockStepVecEnv(VecEnv):
         self._actions = np.zeros(0)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
-    def reset(self) -> NDArray[Any]:
+    def reset(self) -> Array:
         """Begin an episode in every sub-environment and return the observations, shape (num_envs, ...)."""
         observations, infos = self._reset()
         self.reset_infos = _rows(infos)
@@ -45,10 +45,10 @@ class LockStepVecEnv(VecEnv):
         self._reset_options()
         return observations
 
-    def _reset(self) -> tuple[NDArray[Any], dict[str, Any]]:
+    def _reset(self) -> tuple[Array, dict[str, Any]]:
         return self.env.reset(seed=self._seeds)  # type: ignore[arg-type] # vector environments take one for each
 
-    def step_async(self, actions: NDArray[Any]) -> None:
+    def step_async(self, actions: Array) -> None:
         """Store the actions, shape (num_envs, ...), for `step_wait`."""
         self._actions = actions
 
@@ -89,7 +89,7 @@ class LockStepVecEnv(VecEnv):
         """Return False for every sub-environment."""
         return [False for _ in self._get_indices(indices)]
 
-    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+    def get_images(self) -> Sequence[Bytes | None]:
         """Return None for every sub-environment: the vector environment does not render."""
         return [None] * self.num_envs
 
@@ -121,7 +121,7 @@ class DrivingVecEnv(LockStepVecEnv):
             )
         super().__init__(env)
 
-    def _reset(self) -> tuple[NDArray[Any], dict[str, Any]]:
+    def _reset(self) -> tuple[Array, dict[str, Any]]:
         scenarios = [options.get("scenario") for options in self._options]
         return self.env.reset(seed=self._seeds, options={"scenarios": scenarios})
 
@@ -205,7 +205,7 @@ class HighwayVecEnv(LockStepVecEnv):
             )
         )
 
-    def reset(self) -> NDArray[Any]:
+    def reset(self) -> Array:
         """Begin an episode in every sub-environment and return the observations, shape (num_envs, ...).
 
         Raises:
@@ -283,7 +283,7 @@ def _rows(infos: dict[str, Any], more: dict[str, Any] | None = None) -> list[dic
     return [dict(zip(columns, row, strict=True)) | (more or {}) for row in zip(*columns.values(), strict=True)]
 
 
-def _listed(values: NDArray[Any]) -> list[Any]:
+def _listed(values: Array) -> list[Any]:
     return list(values) if values.ndim > 1 else values.tolist()
 
 
@@ -345,7 +345,7 @@ class ScenarioVecEnv(LockStepVecEnv):
             observations = self._begin(dones)
         return observations, np.asarray(rewards, dtype=np.float32), dones, listed
 
-    def _begin(self, mask: NDArray[np.bool_]) -> Any:
+    def _begin(self, mask: Bools) -> Any:
         """Begin episodes where the mask is True, and return the observations of all sub-environments."""
         new = [self.sampler(self._rng) if chosen else None for chosen in mask.tolist()]
         self.scenarios = [other if one is None else one for one, other in zip(new, self.scenarios, strict=True)]

@@ -46,13 +46,7 @@ _VALUE: Final = "= "  # before a value, which may look like a digest otherwise
 
 
 def classes_of(env: AbstractEnv, vehicles: Iterable[type], *, with_observation: bool = True) -> tuple[type, ...]:
-    """Return the classes that an environment consists of, with their parents.
-
-    Args:
-        env: an environment that has been reset.
-        vehicles: classes of its vehicles and obstacles.
-        with_observation: whether the class of its observation is one of them.
-    """
+    """Return the classes that an environment consists of, with their parents."""
     lanes = {type(lane): None for lane in env.road.network.lanes_list()}
     things = [env, env.road, env.road.network, *([env.observation_type] if with_observation else []), env.action_type]
     parents = {parent: None for one in (*map(type, things), *lanes, *vehicles) for parent in one.__mro__}
@@ -63,23 +57,13 @@ def changes(classes: Iterable[type], read: Collection[str] = ()) -> tuple[str, .
     """Return the names of functions and constants of classes that are others than those that were ported.
 
     A class of a user's own package has none: whether the engine supports it is checked elsewhere.
-
-    Args:
-        classes: the classes; see `classes_of`.
-        read: names of parameters that the engine reads from the classes.
     """
     pairs = ((owner, name) for owner in (*classes, *MODULES) for name in _changes_of(owner) if name not in read)
     return *(f"{_short(owner)}.{name}" for owner, name in pairs), *_changed_imports()
 
 
 def replaced(cls: type, known: type, allowed: Collection[str] = ()) -> str | None:
-    """Return the name of something that a subclass replaces, such as "MyEnv.step"; None if there is nothing.
-
-    Args:
-        cls: the subclass.
-        known: the class whose functions and constants it inherits.
-        allowed: names that it may replace.
-    """
+    """Return the name of something that a subclass replaces, such as "MyEnv.step"; None if there is nothing."""
     attributes = {name for parent in known.__mro__ for name in _attributes(parent)}
     free = {*allowed, "__str__", "__repr__"}
     for base in cls.__mro__[: cls.__mro__.index(known)]:
@@ -91,15 +75,7 @@ def replaced(cls: type, known: type, allowed: Collection[str] = ()) -> str | Non
 
 
 def replaced_in(env: object, allowed: Collection[str] = ()) -> str | None:
-    """Return the name of a method that a program has replaced in an object, such as "HighwayEnv._reward".
-
-    Args:
-        env: the object.
-        allowed: names that it may have replaced.
-
-    Returns:
-        The name; None if there is none.
-    """
+    """Return the name of a method that a program has replaced in an object, such as "HighwayEnv._reward", or None."""
     for name in vars(env).keys() - DRAWING - set(allowed):
         parent = next((parent for parent in type(env).__mro__ if name in vars(parent)), None)
         if parent is not None and _codes(vars(parent)[name]) is not None:
@@ -126,10 +102,6 @@ class ChangeGuard:
 
     An `IntersectionEnv` that is made or reset elsewhere in the process changes nothing that counts: the compiled
     environment keeps the parameters that its vehicles had when it was made.
-
-    Args:
-        classes: the classes; see `classes_of`.
-        exempt: names of parameters that may change.
     """
 
     def __init__(self, classes: Iterable[type], exempt: frozenset[str] = frozenset()) -> None:
@@ -141,8 +113,7 @@ class ChangeGuard:
     def check(self, *, always: bool = True) -> None:
         """Check that nothing has changed.
 
-        Args:
-            always: whether to look at this call in any case, which takes some microseconds, or only at every eighth.
+        Unless `always`, it looks only at every eighth call, since a look takes some microseconds.
 
         Raises:
             InputError: if something has changed. The message names it.
@@ -199,11 +170,6 @@ def guard_of(
     """Check that an environment consists of what the engine was ported from, and return the guard of its classes.
 
     A guard that was made before is taken again if nothing has changed, since the comparison takes milliseconds.
-
-    Args:
-        classes: the classes; see `classes_of`.
-        read: names of parameters that the engine reads from them.
-        exempt: names of parameters that may change later on.
 
     Raises:
         ChangedError: if it does not. The message names what is different.

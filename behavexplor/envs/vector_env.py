@@ -6,9 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.driving import DrivingEnv
@@ -88,7 +87,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
         if seed is not None:
             self._generators[b], _ = seeding.np_random(seed)
 
-    def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
+    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools]:
         if self.checks_actions:
             check_actions(self.action_space, actions)
         stepped = self._episodes.ends == RUNNING
@@ -99,15 +98,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
         return rewards if self._terms is None else sum(self._terms, rewards), terminated, truncated, stepped
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> None:
-        """Begin an episode in the chosen slots, with the given scenario or a sampled one.
-
-        Args:
-            mask: the chosen slots, shape (num_envs,).
-            scenarios: a scenario or None for each slot; None if all are sampled.
-
-        Raises:
-            InputError: if a scenario has no room in a slot.
-        """
+        """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
         begun: dict[int, ScriptedScenario] = {}
         for b in np.flatnonzero(mask).tolist():
             scenario = scenarios[b] if scenarios else None

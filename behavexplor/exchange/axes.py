@@ -48,12 +48,7 @@ def mirrored_lane(lane: Lane) -> Lane:
 
 
 def shifted(pose: Floats, ahead: float) -> Floats:
-    """Return poses whose points are moved along their headings, shape (..., 3).
-
-    Args:
-        pose: x [m], y [m] and heading [rad], shape (..., 3), in either frame.
-        ahead: distance [m].
-    """
+    """Return poses, shape (..., 3), in either frame, whose points are moved along their headings [m]."""
     heading = pose[..., 2]
     moved = pose[..., :2] + ahead * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return np.concatenate([moved, heading[..., None]], axis=-1)
@@ -65,13 +60,7 @@ def waypoint_text(script: NPC) -> str:
 
 
 def read_script(name: str, kind: str, route: str, text: str) -> NPC:
-    """Return a scripted vehicle.
-
-    Args:
-        name: name of the vehicle in its scene, for error messages.
-        kind: type of the vehicle.
-        route: name of its route.
-        text: its waypoints, as `waypoint_text` writes them.
+    """Return the scripted vehicle whose waypoints `waypoint_text` has written; `name` is for error messages.
 
     Raises:
         InputError: if the text does not describe waypoints.

@@ -37,17 +37,11 @@ _FIRST_JUNCTION: Final = 1000  # id of the first junction; ids of roads are smal
 
 
 class Piece(NamedTuple):
-    """A parametric cubic curve in the frame of its start, with a parameter p from 0 to 1.
+    """A parametric cubic curve in the frame of its start, with a parameter p from 0 to 1."""
 
-    Attributes:
-        pose: x [m], y [m] and heading [rad] of the start, shape (3,).
-        u: coefficients of 1, p, p^2 and p^3 along the heading [m], shape (4,).
-        v: coefficients perpendicular to it, in the direction in which headings grow [m], shape (4,).
-    """
-
-    pose: Floats
-    u: Floats
-    v: Floats
+    pose: Floats  # x [m], y [m] and heading [rad] of the start, shape (3,)
+    u: Floats  # coefficients of 1, p, p^2 and p^3 along the heading [m], shape (4,)
+    v: Floats  # coefficients perpendicular to it, in the direction in which headings grow [m], shape (4,)
 
 
 def sine_pieces(lane: SineLane) -> list[Piece]:
@@ -76,32 +70,20 @@ def _piece(lane: SineLane, begin: float, step: float) -> Piece:
 
 @dataclass(frozen=True)
 class Road:
-    """Lanes side by side with the same direction.
+    """Lanes side by side with the same direction."""
 
-    Attributes:
-        origin: node at which the lanes begin.
-        target: node at which they end.
-        lanes: the lanes from left to right.
-    """
-
-    origin: str
-    target: str
-    lanes: tuple[PlannedLane, ...]
+    origin: str  # node at which the lanes begin
+    target: str  # node at which they end
+    lanes: tuple[PlannedLane, ...]  # the lanes from left to right
 
 
 @dataclass(frozen=True)
 class RoadLayout:
-    """Roads with links and junctions.
+    """Roads with links and junctions."""
 
-    Attributes:
-        roads: the roads.
-        links: pairs of lanes that meet, by the pair of the road that ends and the road that begins there.
-        junction: number of the junction that each road crosses, or `NOWHERE`.
-    """
-
-    roads: tuple[Road, ...]
-    links: Links
-    junction: tuple[int, ...]
+    roads: tuple[Road, ...]  # the roads
+    links: Links  # pairs of lanes that meet, by the pair of the road that ends and the road that begins there
+    junction: tuple[int, ...]  # number of the junction that each road crosses, or `NOWHERE`
 
     def before(self, road: int) -> list[int]:
         """Return the roads that lead to a road."""
@@ -238,13 +220,7 @@ def _junctions(links: Links, count: int) -> tuple[int, ...]:
 
 
 def write_road(plan: RoadPlan, name: str, path: Path) -> None:
-    """Write a road as an OpenDRIVE file.
-
-    Args:
-        plan: the road.
-        name: name of the road network.
-        path: path of the file.
-    """
+    """Write a road as an OpenDRIVE file."""
     layout = road_layout(plan)
     network = xodr.OpenDrive(name, revMinor=REVISION)
     for i in range(len(layout.roads)):

@@ -32,14 +32,7 @@ _MAX_SPEED, _MAX_ACCELERATION, _MAX_DECELERATION = 60.0, 10.0, 10.0  # [m/s] [m/
 
 
 def write_scene(scene: SceneFile, path: Path, date: datetime, *, as_routes: bool = False) -> None:
-    """Write a scene as an OpenSCENARIO file.
-
-    Args:
-        scene: the scene.
-        path: path of the file.
-        date: date in the header.
-        as_routes: whether scripted vehicles get a route and a speed profile instead of a trajectory.
-    """
+    """Write a scene as an OpenSCENARIO file; scripted vehicles get trajectories, or routes with speed profiles."""
     init, act = xosc.Init(), xosc.Act("motion", _at(0.0))
     entities = xosc.Entities()
     for mover in scene.movers:

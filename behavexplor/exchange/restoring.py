@@ -6,9 +6,8 @@ from typing import Final
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.npc_motion import HEADING, motion_on_route
@@ -100,7 +99,7 @@ def _corners(route: Route, time: Floats, stations: Floats, per_lane: int) -> tup
     return positions, np.sqrt(np.interp(positions, middle[corners], squared[corners]))
 
 
-def _unused(route: Route, spare: NDArray[np.int64]) -> list[float]:
+def _unused(route: Route, spare: Ints) -> list[float]:
     """Return positions, evenly over each lane, for the waypoints that a lane has to spare."""
     ends = zip(route.bounds[:-1], route.bounds[1:], spare.tolist(), strict=True)
     return [float(begin + (end - begin) * (i + 0.5) / count) for begin, end, count in ends for i in range(count)]
@@ -116,10 +115,6 @@ def restored(scene: SceneFile, logical: LogicalScenario) -> Scenario:
     """Return the scenario of a scene.
 
     The script of a vehicle counts. If its motion was changed by hand, or it has no script, one is fitted to its motion.
-
-    Args:
-        scene: the scene, as it was read.
-        logical: the scenarios of the scene's environment.
 
     Raises:
         InputError: if the scene cannot be taken; the message names what is wrong.

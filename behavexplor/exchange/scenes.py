@@ -33,62 +33,37 @@ COLUMNS: Final = ("time", "vehicle", "type", "x", "y", "heading", "vx", "vy", "l
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """A vehicle of a scene.
+    """A vehicle of a scene."""
 
-    Attributes:
-        name: unique name.
-        type: type of a scripted vehicle, such as "sedan", or `VEHICLE`.
-        size: length and width [m].
-        time: times at which its pose is known, increasing, shape (T,) [s]; T >= 1.
-        pose: x [m], y [m] and heading [rad] of its center at these times, shape (T, 3).
-        speed: speed at the first of these times [m/s].
-        is_gone: whether it leaves the scene after the last of these times, before the scene ends.
-        script: its route and waypoints; None if it is not scripted.
-        route: points of its route, see `behavexplor.exchange.axes`; empty if it is not scripted.
-        is_changed: whether its motion in a file differs from the motion that was written.
-    """
-
-    name: str
-    type: str
-    size: tuple[float, float]
-    time: Floats
-    pose: Floats
-    speed: float
-    is_gone: bool = False
-    script: NPC | None = None
+    name: str  # unique name
+    type: str  # type of a scripted vehicle, such as "sedan", or `VEHICLE`
+    size: tuple[float, float]  # length and width [m]
+    time: Floats  # times at which its pose is known, increasing, shape (T,) [s]; T >= 1
+    pose: Floats  # x [m], y [m] and heading [rad] of its center at these times, shape (T, 3)
+    speed: float  # speed at the first of these times [m/s]
+    is_gone: bool = False  # whether it leaves the scene after the last of these times, before the scene ends
+    script: NPC | None = None  # its route and waypoints; None if it is not scripted
+    # points of its route, see `behavexplor.exchange.axes`; empty if it is not scripted
     route: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    is_changed: bool = False
+    is_changed: bool = False  # whether its motion in a file differs from the motion that was written
 
 
 @dataclass(frozen=True, eq=False)
 class SceneFile:
-    """What an exchanged file says of one execution.
+    """What an exchanged file says of one execution."""
 
-    Attributes:
-        title: a sentence for people.
-        environment: name of the environment.
-        env_config: configuration of the environment, as far as it differs from what the driving system declares.
-        road_file: name of the road's file, beside the scene's.
-        movers: the vehicles; the ego first.
-        is_ego_free: whether the ego is driven by another tool's driver, so that only its start is known.
-        destination: destination of the ego, shape (2,) [m].
-        stops_there: whether the scene ends when the ego arrives.
-        time_limit: time at which the scene ends [s].
-        scenario: the scenario, if its vehicles are not scripted; see `behavexplor.data.scenario`.
-        n_vehicles: number of vehicles that were written.
-    """
-
-    title: str
-    environment: str
+    title: str  # a sentence for people
+    environment: str  # name of the environment
+    # configuration of the environment, as far as it differs from what the driving system declares
     env_config: Mapping[str, Any] = field(default_factory=dict)
-    road_file: str = ""
-    movers: tuple[Mover, ...] = ()
-    is_ego_free: bool = False
-    destination: Floats = field(default_factory=lambda: np.zeros(2))
-    stops_there: bool = False
-    time_limit: float = EPISODE_TIME
-    scenario: Scenario | None = None
-    n_vehicles: int = 0
+    road_file: str = ""  # name of the road's file, beside the scene's
+    movers: tuple[Mover, ...] = ()  # the vehicles; the ego first
+    is_ego_free: bool = False  # whether the ego is driven by another tool's driver, so that only its start is known
+    destination: Floats = field(default_factory=lambda: np.zeros(2))  # destination of the ego, shape (2,) [m]
+    stops_there: bool = False  # whether the scene ends when the ego arrives
+    time_limit: float = EPISODE_TIME  # time at which the scene ends [s]
+    scenario: Scenario | None = None  # the scenario, if its vehicles are not scripted; see `behavexplor.data.scenario`
+    n_vehicles: int = 0  # number of vehicles that were written
 
 
 def motion_digest(*numbers: ArrayLike) -> str:
@@ -111,12 +86,6 @@ def movers_of(scenario: Scenario, trace: Trace, roadmap: RoadMap | None, *, is_e
     """Return the vehicles of an execution.
 
     With a free ego, the scene may take longer than the execution. So scripted vehicles go on until they park.
-
-    Args:
-        scenario: the scenario.
-        trace: the trace of the execution.
-        roadmap: the map; None for a highway-env environment.
-        is_ego_free: whether only the ego's start is of interest.
     """
     speed = np.hypot(trace.velocity[..., 0], trace.velocity[..., 1])
     pose = np.concatenate([trace.position, trace.heading[..., None]], axis=2)

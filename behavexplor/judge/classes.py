@@ -3,7 +3,7 @@
 Two failures belong to one class if a person would describe them with the same words: the ego's maneuver, the direction
 from which the other vehicle came, and its size. The bounds between classes lie where traffic has gaps, such as between
 two directions at a crossing. In highway-env's own environments, the maneuver is read from the signals that
-`behavexplor.envs.highway.driven_lanes` makes of the ego's lanes (`behavexplor.judge.lanes`).
+`behavexplor.envs.highway.episode_record` makes of the ego's lanes (`behavexplor.judge.lanes`).
 """
 
 from collections.abc import Sequence

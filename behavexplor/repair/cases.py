@@ -26,8 +26,7 @@ from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import is_at_fault
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
-from behavexplor.triage.findings import Finding
-from behavexplor.triage.minimized import Minimized, trace_path
+from behavexplor.triage.findings import Finding, Minimized, trace_path
 
 FORMAT: Final = 1
 SUITE: Final = "suite.yaml"
@@ -64,27 +63,17 @@ def test_scenario(case, drive):
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A scenario in which a driver failed once.
+    """A scenario in which a driver failed once."""
 
-    Attributes:
-        words: what happened, as a sentence.
-        class_id: class of the failure.
-        run: name of the run in which it was found.
-        execution: number of the execution in which it was found.
-        fault: fault for a collision; None for another failure.
-        cause: weakness of the rule planner that caused the failure, if triage has found it.
-        holds: names of the specs that must hold. A collision that another vehicle caused violates none of them.
-        scenario: the scenario as `behavexplor.data.scenario.Scenario.to_dict` gives it.
-    """
-
-    words: str
-    class_id: str
-    run: str
-    execution: int
-    fault: str | None = None
-    cause: str | None = None
+    words: str  # what happened, as a sentence
+    class_id: str  # class of the failure
+    run: str  # name of the run in which it was found
+    execution: int  # number of the execution in which it was found
+    fault: str | None = None  # fault for a collision; None for another failure
+    cause: str | None = None  # weakness of the rule planner that caused the failure, if triage has found it
+    # names of the specs that must hold. A collision that another vehicle caused violates none of them.
     holds: tuple[str, ...]
-    scenario: dict[str, Any]
+    scenario: dict[str, Any]  # the scenario as `behavexplor.data.scenario.Scenario.to_dict` gives it
 
     @property
     def name(self) -> str:
@@ -102,35 +91,21 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Scenarios in which a driver failed once, and where they are driven.
+    """Scenarios in which a driver failed once, and where they are driven."""
 
-    Attributes:
-        env: name of the environment.
-        driver: name of the driver that failed. In the file, the path of a policy is meant from the suite's folder.
-        specs: names of the user's specs.
-        env_config: configuration of the environment, as far as it differs from what a driver declares.
-        traffic: kind of traffic in a highway-env environment.
-        stochastic: whether the driver that failed drew its actions. It does so in checks, too.
-        digests: SHA-256 of the files of this driver, see `behavexplor.campaign.identity.driver_digests`.
-        cases: the cases in the order of their names.
-    """
-
-    env: str
-    driver: str
-    specs: tuple[str, ...] = ()
+    env: str  # name of the environment
+    driver: str  # name of the driver that failed. In the file, the path of a policy is meant from the suite's folder.
+    specs: tuple[str, ...] = ()  # names of the user's specs
+    # configuration of the environment, as far as it differs from what a driver declares
     env_config: Mapping[str, Any] = field(default_factory=dict)
-    traffic: Traffic = DEFAULT
-    stochastic: bool = False
+    traffic: Traffic = DEFAULT  # kind of traffic in a highway-env environment
+    stochastic: bool = False  # whether the driver that failed drew its actions. It does so in checks, too.
+    # SHA-256 of the files of this driver, see `behavexplor.campaign.same_driver.driver_digests`
     digests: Mapping[str, str] = field(default_factory=dict)
-    cases: tuple[Case, ...] = ()
+    cases: tuple[Case, ...] = ()  # the cases in the order of their names
 
     def target(self, ads: str, **settings: Any) -> CheckedTarget:
-        """Return the target that drives the cases with a driver.
-
-        Args:
-            ads: name of the driver.
-            settings: further fields of the target.
-        """
+        """Return the target that drives the cases with a driver."""
         config = dict(self.env_config)
         if self.cases:
             config |= min(self.cases, key=lambda case: case.name).load_scenario().scene_config
@@ -238,9 +213,7 @@ def _yaml(values: Mapping[str, Any]) -> str:
 def candidates(records: Iterable[Record], known: Mapping[int, Finding]) -> dict[str, list[int]]:
     """Return the numbers of the failures for which the driver was at fault, by class, in order.
 
-    Args:
-        records: the records of a run.
-        known: findings of triage by the numbers of the executions. Their fault replaces that of the record.
+    Findings of triage replace the faults in the records.
     """
     found: dict[str, list[int]] = {}
     for record in records:

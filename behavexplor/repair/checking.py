@@ -25,17 +25,11 @@ from behavexplor.repair.cases import Case, Suite
 
 @dataclass(frozen=True)
 class CheckedCase:
-    """What a driver did in the scenario of a case.
+    """What a driver did in the scenario of a case."""
 
-    Attributes:
-        case: the case.
-        violated: names of the specs that had to hold and did not.
-        words: what happened, as a sentence.
-    """
-
-    case: Case
-    violated: tuple[str, ...]
-    words: str
+    case: Case  # the case
+    violated: tuple[str, ...]  # names of the specs that had to hold and did not
+    words: str  # what happened, as a sentence
 
     @property
     def passed(self) -> bool:
@@ -52,12 +46,7 @@ class Checker:
         self._specs = specs
 
     def __call__(self, case: Case) -> CheckedCase:
-        """Drive one case.
-
-        Raises:
-            InputError: if its scenario does not belong to the environment.
-            RuntimeError: if it could not be executed.
-        """
+        """Drive one case."""
         return self._outcome(case, self._begun(case))
 
     def all_of(self, cases: Sequence[Case]) -> Iterator[CheckedCase]:
@@ -95,13 +84,6 @@ def opened_driver(
     suite: Suite, ads: str | None, workers: int = 1, trust: Sequence[str] = (), **settings: Any
 ) -> Iterator[Checker]:
     """Load a driver, and return what drives the cases of a suite with it.
-
-    Args:
-        suite: the suite.
-        ads: name of the driver; None for that of the suite.
-        workers: number of worker processes; 0 uses this process.
-        trust: digests of policy files that may run code, and of suites from elsewhere whose code may be run.
-        settings: further fields of the `behavexplor.data.target.Target`.
 
     Raises:
         InputError: if the suite names code that the user has not agreed to, the driver cannot be loaded or does not fit

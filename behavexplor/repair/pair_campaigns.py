@@ -47,17 +47,11 @@ class Driven(NamedTuple):
 
 @dataclass(frozen=True)
 class Difference:
-    """A scenario in which one driver fails and the other does not.
+    """A scenario in which one driver fails and the other does not."""
 
-    Attributes:
-        number: number of the candidate.
-        fails: `ONLY_FIRST` or `ONLY_SECOND`.
-        scenario: the scenario, as one of the first driver.
-    """
-
-    number: int
-    fails: str
-    scenario: Scenario
+    number: int  # number of the candidate
+    fails: str  # `ONLY_FIRST` or `ONLY_SECOND`
+    scenario: Scenario  # the scenario, as one of the first driver
 
 
 def search_differences(
@@ -72,17 +66,8 @@ def search_differences(
 ) -> list[Difference]:
     """Search for scenarios in which one driver fails and the other does not.
 
-    Args:
-        method: search method for the logical scenario of the first driver. It learns from the traces of that driver.
-        first: the first driver.
-        second: the second driver.
-        specs: the specs that judge both drivers.
-        budget: number of scenarios that are executed with both drivers.
-        batch: number of scenarios in flight.
-        observe: function that is called with the number of executed scenarios.
-
-    Returns:
-        The differences in the order in which the method proposed them. They do not depend on the executors.
+    The method learns from the traces of the first driver. The differences come in the order in which it proposed them,
+    and do not depend on the executors.
 
     Raises:
         RuntimeError: if a scenario could not be executed.
@@ -135,13 +120,7 @@ def _result(first: Driven, scenario: Scenario, future: "Future[bytes]") -> tuple
 
 
 def verdict_at_fault(trace: Trace, error: str | None, specs: Sequence[Spec]) -> Verdict:
-    """Return the verdict on a driver. Only failures at fault count, see `behavexplor.campaign.record.Record.at_fault`.
-
-    Args:
-        trace: trace of an execution.
-        error: kind of the failure if the driver failed instead of driving; None if it drove.
-        specs: the specs that judge it.
-    """
+    """Return the verdict on a driver. Only failures at fault count, see `Record.at_fault`."""
     verdict = judge(trace, specs)
     if error is not None:
         return replace(verdict, violated=() if error == DIFFERS else (ERROR,))
@@ -149,16 +128,7 @@ def verdict_at_fault(trace: Trace, error: str | None, specs: Sequence[Spec]) -> 
 
 
 def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe) -> list[str]:
-    """Run one of the two campaigns.
-
-    Args:
-        config: its configuration.
-        folder: its run folder, new or empty.
-        workers: number of worker processes; 0 uses this process.
-        observe: function that is called with the number of executions.
-
-    Returns:
-        Warnings about the driver.
+    """Run one of the two campaigns, and return warnings about the driver.
 
     Raises:
         InputError: if the driver or the environment cannot be used.
@@ -199,14 +169,7 @@ def check_search(config: CampaignConfig) -> None:
 def differences(
     first: CampaignConfig, second: CampaignConfig, folder: Path, workers: int, observe: Observe
 ) -> list[Difference]:
-    """Search for differences, and write their scenarios to a file.
-
-    Args:
-        first: configuration of the first driver, with the search method.
-        second: configuration of the second driver.
-        folder: folder for the file `DIFFERENCES`.
-        workers: number of worker processes of each driver; 0 uses this process.
-        observe: function that is called with the number of executed scenarios.
+    """Search for differences, and write their scenarios to the file `DIFFERENCES`.
 
     Raises:
         InputError: if a driver or the search method cannot be used.

@@ -21,21 +21,14 @@ FAILED, AT_FAULT = "any failure", "failure at fault"
 
 @dataclass(frozen=True)
 class Pairs:
-    """How often two drivers showed one outcome in the same scenarios.
+    """How often two drivers showed one outcome in the same scenarios."""
 
-    Attributes:
-        outcome: name of the outcome.
-        only_first: numbers of the scenarios in which only the first driver showed it: what the second one fixed.
-        only_second: numbers of the scenarios in which only the second driver showed it: what it broke.
-        both: number of scenarios in which both showed it.
-        neither: number of scenarios in which neither showed it.
-    """
-
-    outcome: str
+    outcome: str  # name of the outcome
+    # numbers of the scenarios in which only the first driver showed it: what the second one fixed
     only_first: tuple[int, ...]
-    only_second: tuple[int, ...]
-    both: int
-    neither: int
+    only_second: tuple[int, ...]  # numbers of the scenarios in which only the second driver showed it: what it broke
+    both: int  # number of scenarios in which both showed it
+    neither: int  # number of scenarios in which neither showed it
 
     @property
     def n(self) -> int:
@@ -79,10 +72,7 @@ def judged_inferior(pairs: Pairs, margin: float) -> PairedSequence:
 
 
 def paired(first: Iterable[Record], second: Iterable[Record]) -> list[Pairs]:
-    """Compare the records of two drivers, one by one.
-
-    Returns:
-        The pairs of each outcome: any failure, failures at fault, and violations of each spec.
+    """Compare two drivers' records one by one: any failure, failures at fault, and violations of each spec.
 
     Raises:
         InputError: if the scenarios are not the same.

@@ -49,18 +49,14 @@ class Pool:
 
     A scenario enters when the policy fails in it by its own fault. It leaves when an episode in it ends otherwise.
 
-    Args:
-        logical: logical scenario from which all other episodes are drawn.
-        share: probability that an episode is drawn from the pool. It is lower, in proportion, for a pool of fewer than
-            `FULL` scenarios, so that a few scenarios that cannot be mended do not fill the training.
-        scenarios: the first scenarios.
+    An episode is drawn from the pool with the probability `share`, or less, in proportion, from fewer than `FULL`
+    scenarios, so that a few that cannot be mended do not fill the training.
     """
 
     def __init__(self, logical: LogicalScenario, share: float, scenarios: Iterable[Scenario] = ()) -> None:
         self._logical = logical
         self._share = share
-        self._scenarios: list[Scenario] = []
-        self._known: set[Scenario] = set()
+        self._scenarios: dict[Scenario, None] = {}  # in the order in which they entered
         for scenario in scenarios:
             self.add(scenario)
 
@@ -71,23 +67,18 @@ class Pool:
     def sample(self, rng: np.random.Generator) -> Scenario:
         """Draw the scenario of an episode."""
         if self._scenarios and rng.random() < self._share * min(len(self._scenarios) / FULL, 1.0):
-            return self._scenarios[int(rng.integers(len(self._scenarios)))]
+            return list(self._scenarios)[int(rng.integers(len(self._scenarios)))]
         return self._logical.sample(rng)
 
     def add(self, scenario: Scenario) -> None:
         """Add a scenario in which the policy failed. If the pool is full, the oldest one leaves."""
-        if scenario in self._known:
-            return
-        self._known.add(scenario)
-        self._scenarios.append(scenario)
+        self._scenarios.setdefault(scenario)
         if len(self._scenarios) > MOST:
-            self._known.discard(self._scenarios.pop(0))
+            del self._scenarios[next(iter(self._scenarios))]
 
     def discard(self, scenario: Scenario) -> None:
         """Remove a scenario in which the policy did not fail by its own fault, if the pool has it."""
-        if scenario in self._known:
-            self._known.discard(scenario)
-            self._scenarios.remove(scenario)
+        self._scenarios.pop(scenario, None)
 
     @property
     def digest(self) -> str:
@@ -120,10 +111,7 @@ class PoolReporter(TrainingReporter):
 
     A scenario leaves the pool when an episode in it ends without a failure at fault.
 
-    Args:
-        observe: callback that gets the progress after each batch of experience.
-        pool: the pool.
-        own: whether a scenario enters the pool when an episode in it ends with a failure at fault.
+    With `own`, one enters the pool when an episode in it ends with such a failure.
     """
 
     def __init__(self, observe: Callable[[Learned], None], pool: Pool, *, own: bool) -> None:
@@ -175,9 +163,8 @@ def search_config(target: Target, method: str, budget: int, seed: int) -> Campai
 def found_failures(target: Target, method: str, budget: int, seed: int, folder: Path) -> tuple[list[Any], int]:
     """Run a campaign on a policy, or read it if its folder has it.
 
-    Returns:
-        The scenarios of the failures for which the policy was at fault, without collisions that no tried evasion
-        avoids; and the number of decisions of the whole campaign.
+    Return the scenarios of the failures for which the policy was at fault, without collisions that no tried evasion
+    avoids; and the number of decisions of the whole campaign.
 
     Raises:
         ExecutionError: if an execution could not be carried out.
@@ -208,16 +195,10 @@ def _preventable(simulation: Simulation, execution: Execution, seed: int) -> boo
 def retrain(
     config: RetrainingConfig, folder: Path, observe: Callable[[Learned], None], report: Callable[[Round], None]
 ) -> list[Round]:
-    """Retrain a policy. If the folder has finished rounds, the retraining resumes after the last one.
+    """Retrain a policy, or resume after the last round in the folder; return all rounds.
 
-    Args:
-        config: configuration of the retraining.
-        folder: folder for the rounds and the best policy, see `policy_in`.
-        observe: callback that gets the progress of a round after each batch of experience.
-        report: callback that gets each finished round.
-
-    Returns:
-        All rounds; see `best`.
+    `observe` gets the progress of a round after each batch of experience, and `report` each finished round. The best
+    policy is that of `best`; see `policy_in`.
 
     Raises:
         InputError: if the policy or the environment cannot be used, or a file of the folder cannot be read.

@@ -97,26 +97,16 @@ class RetrainingConfig:
 
 @dataclass(frozen=True)
 class Round:
-    """The result of a round.
+    """The result of a round."""
 
-    Attributes:
-        number: number of the round; 0 for the policy as it was given.
-        steps: number of decisions in all training so far.
-        validated: number of scenarios in the validation.
-        failures: numbers of the validation scenarios in which the policy failed by its own fault.
-        passed: number of validation scenarios in which it did not fail.
-        pool: number of scenarios in the pool at the end of the round.
-        digest: digest of the pool.
-        found: number of failures worth training on that the round's campaign found; None without a campaign.
-    """
-
-    number: int
-    steps: int
-    validated: int
-    failures: tuple[int, ...]
-    passed: int
-    pool: int = 0
-    digest: str = ""
+    number: int  # number of the round; 0 for the policy as it was given
+    steps: int  # number of decisions in all training so far
+    validated: int  # number of scenarios in the validation
+    failures: tuple[int, ...]  # numbers of the validation scenarios in which the policy failed by its own fault
+    passed: int  # number of validation scenarios in which it did not fail
+    pool: int = 0  # number of scenarios in the pool at the end of the round
+    digest: str = ""  # digest of the pool
+    # number of failures worth training on that the round's campaign found; None without a campaign
     found: int | None = None
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ from behavexplor.ads.learned.network_file import read_network, write_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
-from behavexplor.ads.sb3.dense_layers import dense_layers
+from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, OWN, describe, find_model
 from behavexplor.data.durable import new_file, write_durably
 from behavexplor.data.scripted_logical import scripted
@@ -28,7 +28,7 @@ from behavexplor.envs.sb3_vec_env import ScenarioVecEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.repair.retraining_rounds import DivergedError
-from behavexplor.training import TrainingConfig, begin_stage, load_layers, new_model, trained_network
+from behavexplor.training import TrainingConfig, begin_stage, load_layers, new_model
 
 _ENVS: Final = 64  # sub-environments for a network of `train`
 _RATE: Final = 2.5e-4  # learning rate where none is known
@@ -36,38 +36,19 @@ _RATE: Final = 2.5e-4  # learning rate where none is known
 
 @dataclass(frozen=True)
 class Trainee:
-    """A policy that goes on learning.
+    """A policy that goes on learning."""
 
-    Attributes:
-        model: the model. A replay buffer is filled anew at the beginning of each round.
-        venv: its environment.
-        suffix: suffix of its file.
-        rate: learning rate of the training so far, or a usual one.
-        entropy: weight of the entropy bonus in that training.
-        new_critic: whether its critic is untrained, because the file has none.
-        write: function that writes the present policy to a file.
-        scenarios: the environment that draws the scenarios.
-    """
-
-    model: BaseAlgorithm
-    venv: VecEnv
-    suffix: str
-    rate: float
-    entropy: float
-    new_critic: bool
-    write: Callable[[Path], None]
-    scenarios: ScenarioVecEnv
+    model: BaseAlgorithm  # the model. A replay buffer is filled anew at the beginning of each round.
+    venv: VecEnv  # its environment
+    suffix: str  # suffix of its file
+    rate: float  # learning rate of the training so far, or a usual one
+    entropy: float  # weight of the entropy bonus in that training
+    new_critic: bool  # whether its critic is untrained, because the file has none
+    write: Callable[[Path], None]  # function that writes the present policy to a file
+    scenarios: ScenarioVecEnv  # the environment that draws the scenarios
 
     def learn(self, seed: int, number: int, steps: int, rate: float, watch: BaseCallback) -> None:
-        """Train for one round.
-
-        Args:
-            seed: seed of the retraining.
-            number: number of the round. In the first round, a new critic learns alone before the policy does, for as
-                many steps.
-            steps: number of decisions.
-            rate: learning rate.
-            watch: callback for the training.
+        """Train for one round. In the first round, a new critic learns alone before the policy does, for as many steps.
 
         Raises:
             DivergedError: if the network has weights that are not finite numbers afterwards.
@@ -121,10 +102,8 @@ def given_file(policy: str) -> Path:
 def open_trainee(target: Target, seed: int, envs: int | None = None) -> Trainee:
     """Return a policy that can go on learning. Its environment draws from the logical scenario.
 
-    Args:
-        target: the policy and its environment.
-        seed: seed of the weights that the file does not have.
-        envs: number of sub-environments; by default as in the training so far, or a usual one.
+    The seed is that of the weights that the file does not have. There are as many sub-environments as in the training
+    so far, or a usual number, unless one is given.
 
     Raises:
         InputError: if the policy cannot go on learning, or not in this environment.
@@ -145,7 +124,7 @@ def _of_network(simulation: Simulation, env: str, path: Path, seed: int, envs: i
     load_layers(model, network.layers)
 
     def write(path: Path) -> None:
-        write_network(path, trained_network(model))
+        write_network(path, trained_network(model.policy))
         write_durably(path.with_suffix(OWN[0]), yaml.safe_dump({"training": {"env": env}}))
 
     return Trainee(model, venv, ".npz", _RATE, _entropy(model), True, write, scenarios)

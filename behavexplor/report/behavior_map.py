@@ -20,37 +20,24 @@ _SHOWN: Final = ("speed", "speed-change", "yaw-rate")  # attributes whose means 
 
 @dataclass(frozen=True)
 class State:
-    """One abstract state.
+    """One abstract state."""
 
-    Attributes:
-        letter: name of the state.
-        share: share of all windows.
-        speed: mean speed of the ego [m/s].
-        deviation: standard deviation of the speed [m/s].
-        acceleration: mean acceleration [m/s2].
-        yaw_rate: mean yaw rate [rad/s].
-    """
-
-    letter: str
-    share: float
-    speed: float
-    deviation: float
-    acceleration: float
-    yaw_rate: float
+    letter: str  # name of the state
+    share: float  # share of all windows
+    speed: float  # mean speed of the ego [m/s]
+    deviation: float  # standard deviation of the speed [m/s]
+    acceleration: float  # mean acceleration [m/s2]
+    yaw_rate: float  # mean yaw rate [rad/s]
 
 
 @dataclass(frozen=True)
 class Behaviors:
-    """Behaviors of the ego in some executions.
+    """Behaviors of the ego in some executions."""
 
-    Attributes:
-        states: abstract states, the slowest first.
-        labels: abstract trace of each execution by its number, as indices of `states`, one for each `TIME_STEP`.
-        places: point of each execution on the map, by its number; distances on the map approximate those of behaviors.
-    """
-
-    states: tuple[State, ...]
+    states: tuple[State, ...]  # abstract states, the slowest first
+    # abstract trace of each execution by its number, as indices of `states`, one for each `TIME_STEP`
     labels: Mapping[int, Labels]
+    # point of each execution on the map, by its number; distances on the map approximate those of behaviors
     places: Mapping[int, tuple[float, float]]
 
     def stretches(self, number: int) -> list[tuple[str, int]]:
@@ -63,11 +50,7 @@ class Behaviors:
 
 
 def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
-    """Abstract all traces with clusters fitted to these traces.
-
-    Args:
-        traces: traces by the numbers of their executions, at least one.
-    """
+    """Abstract all traces with clusters fitted to these traces."""
     miner = BehaviorMiner(MinerOptions(clusters=len(LETTERS)))
     described = [miner.describe(trace) for trace in traces.values()]
     for behavior in described:
@@ -113,13 +96,9 @@ def _plain(value: float) -> float:
 
 
 def scaled(distances: Floats) -> Floats:
-    """Lay points out in the plane at approximately given distances, by classical multidimensional scaling.
+    """Lay points out in the plane, (n, 2), at about given distances (n, n), by classical multidimensional scaling.
 
-    Args:
-        distances: symmetric matrix of distances, shape (n, n).
-
-    Returns:
-        Points, shape (n, 2). Of the mirror images, the one whose farthest point on each axis is on the positive side.
+    Of the mirror images, it is the one whose farthest point on each axis is on the positive side.
     """
     # scikit-learn's ClassicalMDS gives NaN where an eigenvalue is negative, as for points on a line.
     squared = distances**2

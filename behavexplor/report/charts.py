@@ -18,65 +18,38 @@ _MOST_POINTS: Final = 400  # points of a line or cloud
 
 @dataclass(frozen=True)
 class Series:
-    """Values over the executions of a run.
+    """Values over the executions of a run."""
 
-    Attributes:
-        name: name in the legend and the table.
-        x: numbers of executions, shape (n,).
-        y: values, shape (n,); NaN where there is none.
-        dots: whether the series is drawn as dots instead of a line.
-        style: index of a style of the page.
-    """
-
-    name: str
-    x: Floats
-    y: Floats
-    dots: bool = False
-    style: int = 0
+    name: str  # name in the legend and the table
+    x: Floats  # numbers of executions, shape (n,)
+    y: Floats  # values, shape (n,); NaN where there is none
+    dots: bool = False  # whether the series is drawn as dots instead of a line
+    style: int = 0  # index of a style of the page
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A series as shapes.
+    """A series as shapes."""
 
-    Attributes:
-        name: name of the series.
-        style: style of the series.
-        path: SVG path of the line; empty for dots.
-        dots: positions of the dots.
-    """
-
-    name: str
-    style: int
-    path: str
-    dots: tuple[tuple[float, float], ...]
+    name: str  # name of the series
+    style: int  # style of the series
+    path: str  # SVG path of the line; empty for dots
+    dots: tuple[tuple[float, float], ...]  # positions of the dots
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart with its axes.
+    """A chart with its axes."""
 
-    Attributes:
-        title: title of the chart.
-        series: series as shapes.
-        x_ticks: positions and labels of the ticks on the x axis.
-        y_ticks: positions and labels of the ticks on the y axis.
-        rows: rows of the table under the chart: an execution, then a value of each series.
-    """
-
-    title: str
-    series: tuple[Drawn, ...]
-    x_ticks: tuple[tuple[float, str], ...]
-    y_ticks: tuple[tuple[float, str], ...]
-    rows: tuple[tuple[str, ...], ...]
+    title: str  # title of the chart
+    series: tuple[Drawn, ...]  # series as shapes
+    x_ticks: tuple[tuple[float, str], ...]  # positions and labels of the ticks on the x axis
+    y_ticks: tuple[tuple[float, str], ...]  # positions and labels of the ticks on the y axis
+    rows: tuple[tuple[str, ...], ...]  # rows of the table under the chart: an execution, then a value of each series
 
 
 def chart(title: str, series: Sequence[Series]) -> Chart | None:
-    """Lay out a chart.
-
-    Returns:
-        The chart, or None if no series has a value.
-    """
+    """Lay out a chart; None if no series has a value."""
     given = [line for line in series if np.isfinite(line.y).any()]
     if not given:
         return None
@@ -154,31 +127,18 @@ def _cell(value: float) -> str:
 
 @dataclass(frozen=True)
 class StagePart:
-    """The part of a bar that stands for one stage.
+    """The part of a bar that stands for one stage."""
 
-    Attributes:
-        name: name of the stage.
-        words: what the campaign does in it.
-        seconds: time in the stage [s].
-        begin: where the part begins, in percent of the bar.
-        share: length of the part, in percent of the bar.
-        style: index of a style of the page.
-    """
-
-    name: str
-    words: str
-    seconds: float
-    begin: float
-    share: float
-    style: int
+    name: str  # name of the stage
+    words: str  # what the campaign does in it
+    seconds: float  # time in the stage [s]
+    begin: float  # where the part begins, in percent of the bar
+    share: float  # length of the part, in percent of the bar
+    style: int  # index of a style of the page
 
 
 def stage_parts(stages: Mapping[str, float]) -> tuple[StagePart, ...]:
-    """Return the parts of a bar, in the order of the stages, without stages that took no time.
-
-    Args:
-        stages: time in each stage [s]; empty if it is not known.
-    """
+    """Return the parts of a bar, in the order of the stages, without stages that took no time."""
     total = sum(stages.values())
     parts, before = [], 0.0
     for style, (name, words) in enumerate(STAGES.items()):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from behavexplor.campaign.store import Execution
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
@@ -36,21 +36,13 @@ _SHARPNESS = 2  # factor by which pictures are drawn larger before they are redu
 
 @dataclass(frozen=True)
 class Footage:
-    """An episode as it is drawn.
+    """An episode as it is drawn."""
 
-    Attributes:
-        trace: its trace.
-        shape: the road on which it was driven.
-        caption: line of text below the time and the speed.
-        types: types of the other vehicles, as far as they are known.
-        violated: names of the violated specs.
-    """
-
-    trace: Trace
-    shape: RoadShape
-    caption: str
-    types: Sequence[str] = ()
-    violated: Sequence[str] = ()
+    trace: Trace  # its trace
+    shape: RoadShape  # the road on which it was driven
+    caption: str  # line of text below the time and the speed
+    types: Sequence[str] = ()  # types of the other vehicles, as far as they are known
+    violated: Sequence[str] = ()  # names of the violated specs
 
     @cached_property
     def event(self) -> ViolationEvent | None:
@@ -148,7 +140,7 @@ def draw(footage: Footage, frame: int) -> Image.Image:
     return canvas.finished(f"{trace.time[frame]:.1f} s   {speed:.1f} m/s", footage.caption)
 
 
-def _nearest(position: Floats, present: NDArray[np.bool_]) -> list[int]:
+def _nearest(position: Floats, present: Bools) -> list[int]:
     """Return the present vehicles that are nearest to the ego, at most `MOST_DRAWN`, in their order."""
     others = np.flatnonzero(present[1:]) + 1
     distance = np.hypot(*(position[others] - position[0]).T)

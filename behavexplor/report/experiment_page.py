@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from behavexplor.bench.curves import Curve
+from behavexplor.bench.comparisons import Curve
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Summary, summary_rows
@@ -21,40 +21,24 @@ _TOO_WIDE: Final = ("classes", "signatures")  # columns left out of the table of
 
 @dataclass(frozen=True)
 class Bar:
-    """A mean with its interval, as a line of a chart.
+    """A mean with its interval, as a line of a chart."""
 
-    Attributes:
-        name: name of the method.
-        y: vertical position of the line.
-        x: position of the mean.
-        low: position of the lower end of the interval.
-        high: position of the upper end of the interval.
-        text: mean and interval as text.
-    """
-
-    name: str
-    y: float
-    x: float
-    low: float
-    high: float
-    text: str
+    name: str  # name of the method
+    y: float  # vertical position of the line
+    x: float  # position of the mean
+    low: float  # position of the lower end of the interval
+    high: float  # position of the upper end of the interval
+    text: str  # mean and interval as text
 
 
 @dataclass(frozen=True)
 class Bars:
-    """A chart of intervals, a line for each method.
+    """A chart of intervals, a line for each method."""
 
-    Attributes:
-        title: title of the chart.
-        bars: lines of the chart, from top to bottom.
-        x_ticks: positions and labels of the ticks.
-        height: height of the chart.
-    """
-
-    title: str
-    bars: tuple[Bar, ...]
-    x_ticks: tuple[tuple[float, str], ...]
-    height: float
+    title: str  # title of the chart
+    bars: tuple[Bar, ...]  # lines of the chart, from top to bottom
+    x_ticks: tuple[tuple[float, str], ...]  # positions and labels of the ticks
+    height: float  # height of the chart
 
 
 def experiment_page(

@@ -19,33 +19,30 @@ from behavexplor.errors import InputError
 from behavexplor.judge.discovery import Discovery
 from behavexplor.judge.fault import AT_FAULT, NOT_AT_FAULT, is_at_fault
 from behavexplor.judge.specs import SPECS
-from behavexplor.triage.findings import TRIAGE, Finding, Triage, WeaknessRecord, error_finding, trace_finding
-from behavexplor.triage.minimized import Minimized, read_minimized
+from behavexplor.triage.findings import (
+    TRIAGE,
+    Finding,
+    Minimized,
+    Triage,
+    WeaknessRecord,
+    error_finding,
+    read_minimized,
+    trace_finding,
+)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One execution, without its scenario and trace.
+    """One execution, without its scenario and trace."""
 
-    Attributes:
-        id: number of the execution.
-        end: kind of end.
-        violated: names of the violated specs.
-        degree: sum of the violation degrees [m]; NaN if the record has none.
-        novelty: distance to the nearest known behavior, in [0, 1]; NaN if the record has none.
-        novel: whether the behavior was new to the campaign.
-        energy: energy of the parent testcase; NaN if the method has none.
-        elapsed: running time of the campaign up to this execution [s].
-    """
-
-    id: int
-    end: str
-    violated: tuple[str, ...]
-    degree: float
-    novelty: float
-    novel: bool
-    energy: float
-    elapsed: float
+    id: int  # number of the execution
+    end: str  # kind of end
+    violated: tuple[str, ...]  # names of the violated specs
+    degree: float  # sum of the violation degrees [m]; NaN if the record has none
+    novelty: float  # distance to the nearest known behavior, in [0, 1]; NaN if the record has none
+    novel: bool  # whether the behavior was new to the campaign
+    energy: float  # energy of the parent testcase; NaN if the method has none
+    elapsed: float  # running time of the campaign up to this execution [s]
 
     @classmethod
     def of(cls, execution: Execution) -> Self:
@@ -65,31 +62,19 @@ class Entry:
 
 @dataclass(frozen=True)
 class ReportedRun:
-    """A run, as a report shows it.
+    """A run, as a report shows it."""
 
-    Attributes:
-        folder: run folder.
-        config: configuration of the campaign.
-        entries: all executions, in order.
-        findings: one finding for each failure, in order.
-        examined: numbers of the failures that triage has examined; only the classes of other failures are known.
-        weaknesses: coverage of weaknesses by name, see `behavexplor.triage.findings.Triage`.
-        minimized: minimized failures by the numbers of their executions.
-        digests: SHA-256 of the read data and of the driver's files, by name.
-        stages: time in each stage [s], see `behavexplor.campaign.progress`; empty if it is not known.
-        own_rate: a sentence that says which number is the driver's own failure rate.
-    """
-
-    folder: Path
-    config: CampaignConfig
-    entries: tuple[Entry, ...]
-    findings: tuple[Finding, ...]
+    folder: Path  # run folder
+    config: CampaignConfig  # configuration of the campaign
+    entries: tuple[Entry, ...]  # all executions, in order
+    findings: tuple[Finding, ...]  # one finding for each failure, in order
+    # numbers of the failures that triage has examined; only the classes of other failures are known
     examined: frozenset[int]
-    weaknesses: Mapping[str, WeaknessRecord]
-    minimized: Mapping[int, Minimized]
-    digests: Mapping[str, str]
-    stages: Mapping[str, float]
-    own_rate: str = ""
+    weaknesses: Mapping[str, WeaknessRecord]  # coverage of weaknesses by name, see `behavexplor.triage.findings.Triage`
+    minimized: Mapping[int, Minimized]  # minimized failures by the numbers of their executions
+    digests: Mapping[str, str]  # SHA-256 of the read data and of the driver's files, by name
+    stages: Mapping[str, float]  # time in each stage [s], see `behavexplor.campaign.progress`; empty if it is not known
+    own_rate: str = ""  # a sentence that says which number is the driver's own failure rate
 
     @property
     def name(self) -> str:

@@ -17,10 +17,7 @@ _LIBRARIES: Final = ("gymnasium", "highway-env", "numpy", "scikit-learn")
 def rendered(template: str, scripts: Sequence[str], **values: object) -> str:
     """Render a page in ASCII. All values are escaped, so none is interpreted as HTML.
 
-    Args:
-        template: file name of the template in this package.
-        scripts: file names of the scripts, which run at the end of the page in this order.
-        values: variables of the template.
+    The scripts run at the end of the page, in their order.
     """
     style, script = source("page.css"), "".join(map(source, scripts))
     environment = Environment(

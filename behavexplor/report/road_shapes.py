@@ -18,16 +18,9 @@ _MARGIN: Final = 60.0  # distance from the vehicles within which the lines betwe
 
 
 def known_road(env: str, run: Path) -> RoadShape | None:
-    """Return the road of a run.
+    """Return the road of a run: a known one, or the one in its folder; None if it is not known.
 
     No environment of another package is made, since a report must not import third-party code that a run folder names.
-
-    Args:
-        env: name of the environment in the run's configuration.
-        run: the run folder, which holds the road of a highway-env environment.
-
-    Returns:
-        The road, or None if it is not known.
 
     Raises:
         InputError: if the file of the road is damaged.
@@ -61,12 +54,7 @@ def line_kinds(shape: RoadShape | None, trace: Trace) -> tuple[str, ...]:
 
 
 def road_values(shape: RoadShape | None, trace: Trace) -> dict[str, Any]:
-    """Return the road as JSON values, with lengths in meters.
-
-    Args:
-        shape: the road; None if only the lines and the route in the trace are known.
-        trace: trace of any execution. All executions have the same illegal lines.
-    """
+    """Return the road as JSON values, with lengths in meters."""
     low, high = trace.position[:, 0].min(0) - _MARGIN, trace.position[:, 0].max(0) + _MARGIN
     kinds = line_kinds(shape, trace)
     lines = [{"kind": kind, "ends": _points(line)} for kind, line in zip(kinds, trace.illegal_lines, strict=True)]

@@ -22,13 +22,12 @@ from behavexplor.errors import InputError
 from behavexplor.judge.specs import SPECS
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, StagePart, chart, stage_parts
-from behavexplor.report.gallery import PASSED, Card, cards, minimal_name, replay_values
+from behavexplor.report.gallery import MAX_FRAMES, PASSED, Card, cards, minimal_name, replay_values
 from behavexplor.report.marks import type_color
-from behavexplor.report.packing import MAX_FRAMES
 from behavexplor.report.reading import ReportedRun
 from behavexplor.report.rendering import rendered
 from behavexplor.report.road_shapes import known_road, road_values
-from behavexplor.triage.minimized import trace_path
+from behavexplor.triage.findings import trace_path
 
 PAGE: Final = "report.html"
 MOST_REPLAYS: Final = 2000  # of each run
@@ -50,75 +49,44 @@ _SYMBOLS: Final = {
 
 @dataclass(frozen=True)
 class Ribbon:
-    """The behavior of one execution as a strip.
+    """The behavior of one execution as a strip."""
 
-    Attributes:
-        id: number of the execution.
-        class_id: class of its card, or `PASSED` without a violation.
-        strip: begin and length of each stretch of one abstract state, in percent of the longest ribbon, and the state.
-        text: the abstract trace as text.
-        linked: whether the replay is in the page.
-    """
-
-    id: int
-    class_id: str
+    id: int  # number of the execution
+    class_id: str  # class of its card, or `PASSED` without a violation
+    # begin and length of each stretch of one abstract state, in percent of the longest ribbon, and the state
     strip: tuple[tuple[float, float, int], ...]
-    text: str
-    linked: bool
+    text: str  # the abstract trace as text
+    linked: bool  # whether the replay is in the page
 
 
 @dataclass(frozen=True)
 class MapPoint:
-    """One execution on the map of behaviors.
+    """One execution on the map of behaviors."""
 
-    Attributes:
-        id: number of the execution.
-        x: horizontal position, in [0, 100].
-        y: vertical position, in [0, 100].
-        spec: first violated spec, or `PASSED`.
-        class_id: class of the failure, or `PASSED`.
-        linked: whether the replay is in the page.
-    """
-
-    id: int
-    x: float
-    y: float
-    spec: str
-    class_id: str
-    linked: bool
+    id: int  # number of the execution
+    x: float  # horizontal position, in [0, 100]
+    y: float  # vertical position, in [0, 100]
+    spec: str  # first violated spec, or `PASSED`
+    class_id: str  # class of the failure, or `PASSED`
+    linked: bool  # whether the replay is in the page
 
 
 @dataclass(frozen=True)
 class Section:
-    """The content of a section about one run.
+    """The content of a section about one run."""
 
-    Attributes:
-        number: number of the run in the page, counted from 1.
-        run: the run.
-        limit: greatest number of replays.
-        cards: cards of the gallery.
-        charts: curves over the executions.
-        found: behaviors.
-        ribbons: behaviors of some executions as ribbons.
-        longest: duration of the longest ribbon [s].
-        places: executions on the map of behaviors.
-        has_road: whether the road of the environment is known.
-        left_out: whether executions are left out because they are too long, or have too many vehicles.
-        values: data for the page's script.
-    """
-
-    number: int
-    run: ReportedRun
-    limit: int
-    cards: tuple[Card, ...]
-    charts: tuple[Chart, ...]
-    found: Behaviors
-    ribbons: tuple[Ribbon, ...]
-    longest: float
-    places: tuple[MapPoint, ...]
-    has_road: bool
-    left_out: bool
-    values: Mapping[str, Any]
+    number: int  # number of the run in the page, counted from 1
+    run: ReportedRun  # the run
+    limit: int  # greatest number of replays
+    cards: tuple[Card, ...]  # cards of the gallery
+    charts: tuple[Chart, ...]  # curves over the executions
+    found: Behaviors  # behaviors
+    ribbons: tuple[Ribbon, ...]  # behaviors of some executions as ribbons
+    longest: float  # duration of the longest ribbon [s]
+    places: tuple[MapPoint, ...]  # executions on the map of behaviors
+    has_road: bool  # whether the road of the environment is known
+    left_out: bool  # whether executions are left out because they are too long, or have too many vehicles
+    values: Mapping[str, Any]  # data for the page's script
 
     @property
     def embedded(self) -> int:
@@ -158,11 +126,6 @@ class Section:
 def section(number: int, run: ReportedRun, limit: int) -> Section:
     """Return the section about a run.
 
-    Args:
-        number: number of the run in the page, counted from 1.
-        run: the run.
-        limit: greatest number of replays.
-
     Raises:
         InputError: if the run is damaged.
     """
@@ -200,12 +163,9 @@ def section(number: int, run: ReportedRun, limit: int) -> Section:
 def _looked_at(
     run: ReportedRun, wanted: Sequence[int], replayed: Collection[int]
 ) -> tuple[dict[int, Trace], dict[int, Record]]:
-    """Return traces, and the records of the replayed executions, by the numbers of the executions in order.
+    """Return traces, and the records of the replayed executions, by number, the most important first.
 
-    Args:
-        run: the run.
-        wanted: numbers of the wanted executions, the most important first. There is always room for the first.
-        replayed: numbers of those with replays.
+    There is always room for the first.
     """
     traces: dict[int, Trace] = {}
     records: dict[int, Record] = {}
@@ -348,10 +308,8 @@ _FIGURES: Final[dict[str, Callable[[ReportedRun], str]]] = {  # rows of the comp
 def page(runs: Sequence[ReportedRun], replays: int, paired: Paired = ((), ())) -> str:
     """Return the report on runs as a page in ASCII. Equal run folders give equal pages.
 
-    Args:
-        runs: runs, at least one.
-        replays: greatest number of replays of each run.
-        paired: headings and rows of a table on the same scenarios in both runs, see `behavexplor.repair.pairs`.
+    `replays` is the greatest number of replays of each run; `paired` has headings and rows of a table on the same
+    scenarios in both runs.
 
     Raises:
         InputError: if a run is damaged, or the number of replays is out of range.

@@ -139,11 +139,7 @@ class FuzzCallback(BaseCallback):
             self._folder = None
 
     def _check(self) -> None:
-        """Check all that a round needs, because a mistake that shows in the first round costs the training.
-
-        Raises:
-            InputError: if the policy, its environment, the search method or a requirement cannot be used.
-        """
+        """Check all that a round needs, because a mistake that shows in the first round costs the training."""
         given: Any = given_driver(self.model)
         config = config_of(given, self._env, **{"env_config": None, **self._settings})
         Budget.parse(config.budget)
@@ -206,16 +202,7 @@ class FuzzCallback(BaseCallback):
 
 
 def train_small_policy(folder: Path, observe: Callable[[int], None], steps: int = STEPS) -> Path:
-    """Train a small policy with PPO on highway-fast-v0.
-
-    Args:
-        folder: folder for the model and the file that describes it.
-        observe: function that gets the number of steps so far.
-        steps: number of training steps.
-
-    Returns:
-        The model's file.
-    """
+    """Train a small policy with PPO on highway-fast-v0, and return the model's file, beside one that describes it."""
     compiled: Any = HighwayVecEnv
     envs = make_vec_env(ENV, _ENVS, seed=0, env_kwargs={"config": _CONFIG}, vec_env_cls=compiled)
     model = PPO("MlpPolicy", envs, seed=0, device="cpu", **_SETTINGS)  # type: ignore[arg-type]

@@ -41,12 +41,7 @@ class ContractError(AssertionError):
 
 
 def promise(kept: object, sentence: str) -> None:
-    """Raise a `ContractError` unless a promise is kept.
-
-    Args:
-        kept: whether the promise is kept.
-        sentence: what is wrong, and what the interface asks for.
-    """
+    """Raise a `ContractError` with a sentence unless a promise is kept."""
     if not kept:
         raise ContractError(sentence)
 

@@ -56,16 +56,9 @@ class Blame:
 
 
 def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.random.Generator) -> Blame | None:
-    """Return the verdict on the collision at the end of an execution.
+    """Return the verdict on the collision at the end of an execution; None if the ego touches no vehicle there.
 
-    Args:
-        simulation: simulation with the environment of the execution; its ADS is not used.
-        scenario: the executed scenario.
-        trace: its trace.
-        rng: generator for the random evasions.
-
-    Returns:
-        The verdict, or None if the ego touches no vehicle in the last frame.
+    The ADS of the simulation is not used; the generator is for random evasions.
     """
     quick, event = contact_fault(trace), violation_event(trace, ("collision",))
     if quick is None or event is None or event.spec != R1:

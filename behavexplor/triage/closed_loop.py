@@ -12,9 +12,9 @@ from functools import lru_cache
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.careful import CarefulDriver
+from behavexplor.data.array_types import Ints
 from behavexplor.data.conventions import MANEUVERS, STANDING_SPEED
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, config_text
 from behavexplor.data.trace import ARRIVED, CRASHED, Trace
@@ -31,15 +31,14 @@ HELD: Final = 2  # decisions for which such a driver keeps an action
 MOST_DECISIONS: Final = 500
 STANDING_STILL: Final = "standing still"  # what a witness is called that avoids the crash by no more than that
 
-Actions = NDArray[np.int64]
+Actions = Ints
 Found = Literal["preventable", "standing_still_avoids_it", "unpreventable"] | None
 
 
 class ScriptedDriver:
     """A driver of B egos that takes actions from a table.
 
-    Args:
-        actions: actions by ego and decision, shape (B, D). After the last one, it is taken again and again.
+    The table has the shape (B, D). After the last action, it is taken again and again.
     """
 
     vectorized: bool = True
@@ -63,10 +62,8 @@ class ScriptedDriver:
 def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> tuple[OtherDriver | None, int, Found]:
     """Find a driver that keeps all requirements of the environment in a scenario.
 
-    Returns:
-        The first driver that keeps them, and rather one that does not stand still in the end; None if there is none.
-        The number of drivers that were tried, which is 0 if these drivers cannot drive in the environment. And what
-        that says of the crash; None if it says nothing, because others only failed in another way.
+    Return the first one, rather one that does not stand still in the end, or None; the number of drivers that were
+    tried, 0 if they cannot drive there; and what that says of the crash, None if others only failed in another way.
     """
     constant, by_chance = [f"always {name}" for name in CONSTANT], [f"by chance {i}" for i in range(1, BY_CHANCE + 1)]
     names = ["careful", *constant, *by_chance]
@@ -109,11 +106,7 @@ def _actions(rng: np.random.Generator) -> Actions:
 
 
 def _driven(scenario: DrawnScenario, actions: Actions) -> list[Trace]:
-    """Return the trace of the careful driver, and one for each row of actions.
-
-    Raises:
-        InputError: if the environment cannot be configured so.
-    """
+    """Return the trace of the careful driver, and one for each row of actions."""
     env, careful = _environment(scenario.setup), CarefulDriver()
     same = replace(scenario, setup=env.logical.setup)
     try:
@@ -126,22 +119,14 @@ def _driven(scenario: DrawnScenario, actions: Actions) -> list[Trace]:
 
 
 def _compiled(driver: Any, scenario: DrawnScenario, same: DrawnScenario, count: int) -> list[Trace]:
-    """Return the traces of so many egos with a driver, each alone in the scenario.
-
-    Raises:
-        InputError: if the compiled engine does not support the environment.
-    """
+    """Return the traces of so many egos with a driver, each alone in the scenario."""
     ended = dict(rollout_all(_lock_step(scenario.setup, count), driver, [same] * count))
     return [ended[row] for row in range(count)]
 
 
 @lru_cache(maxsize=1)  # making an environment takes longer than driving in it, and all failures of a run have the same
 def _environment(setup: Setup) -> Any:
-    """Return an environment in which the careful driver and meta-actions can drive.
-
-    Raises:
-        InputError: if the environment cannot be configured so.
-    """
+    """Return an environment in which the careful driver and meta-actions can drive."""
     return make_recorded(replace(setup, config=config_text(CarefulDriver().fitted(json.loads(setup.config)))))
 
 

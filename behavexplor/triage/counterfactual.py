@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.rule import Parameters, RulePlanner
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import ENVIRONMENT, UNKNOWN, Trace, weakness_names
 from behavexplor.execution.rollout import rollout, rollout_all
@@ -32,15 +31,10 @@ UPSTREAM: Final = ("prediction", "decision", "path", "speed", "control")  # the 
 
 @dataclass(frozen=True)
 class Fork:
-    """An alternative continuation of a recorded execution.
+    """An alternative continuation of a recorded execution."""
 
-    Attributes:
-        parameters: parameters of the planner after the fork.
-        decision: index of the first decision with these parameters; 0 for the whole execution.
-    """
-
-    parameters: Parameters
-    decision: int = 0
+    parameters: Parameters  # parameters of the planner after the fork
+    decision: int = 0  # index of the first decision with these parameters; 0 for the whole execution
 
 
 class ForkedPlanner:
@@ -48,11 +42,6 @@ class ForkedPlanner:
 
     Up to its fork, an ego gets the recorded commands. Meanwhile, the recorded planner runs as well, so that the planner
     that takes over has the right memory. Row i of the batch is fork i.
-
-    Args:
-        planner: the planner of the recorded execution.
-        actions: the recorded commands, shape (D, 2).
-        forks: one fork for each ego.
     """
 
     def __init__(self, planner: RulePlanner, actions: Floats, forks: Sequence[Fork]) -> None:
@@ -68,7 +57,7 @@ class ForkedPlanner:
         self,
         observation: Floats,
         state: tuple[int, Floats | None] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
+        episode_start: Bools | None = None,  # noqa: ARG002 - all egos begin together
         deterministic: bool = True,  # noqa: ARG002 - the planner is always deterministic
     ) -> tuple[Floats, tuple[int, Floats]]:
         """Return the commands of all egos, as in `behavexplor.ads.interface.ADS`. The state counts the decisions."""
@@ -92,17 +81,9 @@ class ForkedPlanner:
 def run_forks(
     simulation: Simulation, scenario: Scenario, trace: Trace, forks: Sequence[Fork], seconds: float | None = None
 ) -> list[Trace]:
-    """Continue a recorded execution along several forks.
+    """Continue a recorded execution of the rule planner along several forks, and return the trace of each.
 
-    Args:
-        simulation: simulation with the rule planner of the recorded execution.
-        scenario: the executed scenario.
-        trace: its trace.
-        forks: forks to drive.
-        seconds: duration of the replays [s]; None for whole executions. A replay may be longer.
-
-    Returns:
-        The trace of each fork.
+    The replays last `seconds`, or longer; None stands for whole executions.
 
     Raises:
         TypeError: if the ADS is not the rule planner.
@@ -129,28 +110,20 @@ def without(parameters: Parameters, names: Sequence[str]) -> Parameters:
 
 @dataclass(frozen=True)
 class Cause:
-    """Why the rule planner failed.
+    """Why the rule planner failed."""
 
-    Attributes:
-        primary: the weakness to blame, see `primary_cause`; "environment" if the planner without any weakness violates
-            the same spec; "unknown" if no single weakness is to blame.
-        necessary: weaknesses without which the violation does not happen, upstream first.
-        sufficient: weaknesses of the violated spec that cause the violation without any other weakness of that spec,
-            upstream first.
-    """
-
+    # the weakness to blame, see `primary_cause`; "environment" if the planner without any weakness violates the same
+    # spec; "unknown" if no single weakness is to blame
     primary: str
-    necessary: tuple[str, ...]
+    necessary: tuple[str, ...]  # weaknesses without which the violation does not happen, upstream first
+    # weaknesses of the violated spec that cause the violation without any other weakness of that spec, upstream first
     sufficient: tuple[str, ...]
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:
-    """Return the cause of the first violated spec, in the order R1, R2, R3.
+    """Return the cause of the first violated spec, in the order R1, R2, R3; None if there is none.
 
     The simulation must have the ADS and the environment of the recorded execution, and the trace its decision log.
-
-    Returns:
-        The cause, or None if no spec is violated or the ADS is not the rule planner.
     """
     planner = simulation.ads
     event = violation_event(trace, judge(trace).violated)

@@ -29,17 +29,11 @@ EXAMINE: Final = "examine"  # function of the service
 
 @dataclass(frozen=True)
 class Rerun:
-    """Comparison of a second execution of a scenario with the first.
+    """Comparison of a second execution of a scenario with the first."""
 
-    Attributes:
-        same_verdict: whether both violated the same specs.
-        same_trace: whether both have the same trace, to the resolution of traces.
-        deviation: greatest distance between the ego's positions at the same time, over the shorter execution [m].
-    """
-
-    same_verdict: bool
-    same_trace: bool
-    deviation: float
+    same_verdict: bool  # whether both violated the same specs
+    same_trace: bool  # whether both have the same trace, to the resolution of traces
+    deviation: float  # greatest distance between the ego's positions at the same time, over the shorter execution [m]
 
 
 def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Rerun:
@@ -58,12 +52,7 @@ def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequ
 
 
 class FailureEvaluator(Evaluator):
-    """An evaluator that works on one failure at a time.
-
-    Args:
-        specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
-        target: the fields of a `behavexplor.data.target.Target`.
-    """
+    """An evaluator that works on one failure at a time."""
 
     def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
         super().__init__(**target)
@@ -94,11 +83,7 @@ class Examiner(FailureEvaluator):
         self.functions = {**self.functions, EXAMINE: self.examine}
 
     def examine(self, request: bytes) -> bytes:
-        """Examine a failure.
-
-        Returns:
-            The finding, and the witness if there is one, as JSON.
-        """
+        """Examine a failure; return the finding, and the witness if there is one, as JSON."""
         head, record, trace = request.split(b"\n", 2)
         found = Record.from_json(record), Trace.from_bytes(trace)
         finding, witness = examined(self.simulation, *found, seed=int(head), specs=load_specs(self.specs))

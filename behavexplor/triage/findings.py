@@ -1,4 +1,7 @@
-"""Findings of triage about the failures of a run, as plain data: `triage.json` and `witnesses/` in the run folder."""
+"""What is known of a run's failures, as plain data in its folder.
+
+`triage.json` and `witnesses/` have the findings of triage, and `minimized/` has the minimized failures.
+"""
 
 import json
 import shlex
@@ -14,6 +17,8 @@ from behavexplor.campaign.record import ERROR, Record
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.durable import write_durably
+from behavexplor.data.logical import Size
+from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked
@@ -71,15 +76,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Sighting:
-    """Executions in which something was observed.
+    """Executions in which something was observed."""
 
-    Attributes:
-        count: number of executions.
-        first: number of the first of these executions; None if there are none.
-    """
-
-    count: int = 0
-    first: int | None = None
+    count: int = 0  # number of executions
+    first: int | None = None  # number of the first of these executions; None if there are none
 
     @classmethod
     def of(cls, executions: Sequence[int]) -> Self:
@@ -89,17 +89,11 @@ class Sighting:
 
 @dataclass(frozen=True)
 class WeaknessRecord:
-    """Coverage of one weakness of the rule planner by a campaign.
+    """Coverage of one weakness of the rule planner by a campaign."""
 
-    Attributes:
-        reached: executions in which the gate of the weakness was open.
-        triggered: executions in which the weakness changed the output of its module.
-        detected: failures with this weakness as the primary cause.
-    """
-
-    reached: Sighting
-    triggered: Sighting
-    detected: Sighting
+    reached: Sighting  # executions in which the gate of the weakness was open
+    triggered: Sighting  # executions in which the weakness changed the output of its module
+    detected: Sighting  # failures with this weakness as the primary cause
 
 
 @dataclass(frozen=True)
@@ -172,32 +166,20 @@ def known_findings(folder: Path) -> dict[int, Finding]:
 
 @dataclass(frozen=True, eq=False)
 class Witness:
-    """Commands that avoid a recorded collision.
+    """Commands that avoid a recorded collision."""
 
-    Attributes:
-        name: kind of evasion: "careful and competent", "ideal braking", "anticipation" or "sampled".
-        begin: time up to which the ego drives as recorded [s].
-        frequency: frequency of the commands, which is that of the simulation [Hz].
-        commands: accelerations [m/s2] and steering angles [rad], shape (T, 2).
-    """
-
-    name: str
-    begin: float
-    frequency: int
-    commands: Floats
+    name: str  # kind of evasion: "careful and competent", "ideal braking", "anticipation" or "sampled"
+    begin: float  # time up to which the ego drives as recorded [s]
+    frequency: int  # frequency of the commands, which is that of the simulation [Hz]
+    commands: Floats  # accelerations [m/s2] and steering angles [rad], shape (T, 2)
 
 
 @dataclass(frozen=True)
 class OtherDriver:
-    """A driver that avoids a recorded crash in traffic that reacts, by its actions from the start of the scenario.
+    """A driver that avoids a recorded crash in traffic that reacts, by its actions from the start of the scenario."""
 
-    Attributes:
-        name: kind of driver, such as "careful".
-        actions: its meta-actions, one for each decision, by their index in highway-env.
-    """
-
-    name: str
-    actions: tuple[int, ...]
+    name: str  # kind of driver, such as "careful"
+    actions: tuple[int, ...]  # its meta-actions, one for each decision, by their index in highway-env
 
 
 def counted(names: Iterable[str | None]) -> str:
@@ -280,3 +262,85 @@ def error_finding(record: Record, *, happened_again: bool) -> Finding:
         same_verdict=happened_again,
         same_trace=happened_again,
     )
+
+
+MINIMIZED: Final = "minimized"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minimized:
+    """A minimized failure.
+
+    Attributes:
+        id: number of the execution in which the failure was found.
+        class_id: class of the failure.
+        fault: fault for a collision, by triage where the run has been triaged, otherwise by the trace alone.
+        cause: weakness of the rule planner that caused the failure; None without triage.
+        reproduced: whether the failure happened again. Only then it was minimized. It is not repeated if the driver
+            ended or blocked its process.
+        is_minimal: whether the scenario cannot be simplified by one more step; False if `LIMIT` was reached before.
+        found: size of the found scenario.
+        minimal: size of the minimized scenario.
+        executions: number of candidates that were executed.
+        violated: names of the specs that the minimized scenario violates, the most severe first.
+        scenario: the minimized scenario.
+    """
+
+    id: int
+    class_id: str
+    fault: str | None
+    cause: str | None
+    reproduced: bool
+    is_minimal: bool
+    found: Size
+    minimal: Size
+    executions: int
+    violated: tuple[str, ...]
+    scenario: dict[str, Any]
+
+    def load_scenario(self) -> Scenario:
+        """Return the minimized scenario."""
+        return read_scenario(dict(self.scenario))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON values."""
+        return {**asdict(self), "found": list(self.found), "minimal": list(self.minimal)}
+
+    def write(self, folder: Path, trace: bytes) -> None:
+        """Write the minimized failure and the trace of its scenario into a run folder."""
+        write_durably(trace_path(folder, self.id), trace)
+        write_durably(
+            minimized_path(folder, self.id), json.dumps({"format": FORMAT, **self.to_dict()}, indent=1) + "\n"
+        )
+
+
+def minimized_path(folder: Path, number: int) -> Path:
+    """Return the file of a minimized failure in a run folder."""
+    return folder / MINIMIZED / f"{number:06d}.json"
+
+
+def trace_path(folder: Path, number: int) -> Path:
+    """Return the file with the trace of a minimized failure in a run folder."""
+    return minimized_path(folder, number).with_suffix(".trace")
+
+
+def read_minimized(folder: Path) -> dict[int, Minimized]:
+    """Return the minimized failures of a run by the numbers of their executions."""
+    found = (
+        read_made(Minimized, path, "`behavexplor minimize`") for path in sorted((folder / MINIMIZED).glob("*.json"))
+    )
+    return {one.id: one for one in found}
+
+
+def known_minimized(folder: Path, findings: Mapping[int, Finding]) -> dict[int, Minimized]:
+    """Return the minimized failures of a run that need not be minimized again, by the numbers of their executions.
+
+    Left out are those whose trace is missing, and those that were minimized before triage found another fault or cause,
+    which they may have lost.
+    """
+    return {
+        number: one
+        for number, one in read_minimized(folder).items()
+        if trace_path(folder, number).is_file()
+        and (number not in findings or (one.fault, one.cause) == (findings[number].fault, findings[number].cause))
+    }

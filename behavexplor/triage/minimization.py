@@ -32,8 +32,7 @@ from behavexplor.judge.specs import Spec, judge
 from behavexplor.triage.blame import blame
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.examination import STREAM, FailureEvaluator, start_evaluator
-from behavexplor.triage.findings import Finding, known_findings
-from behavexplor.triage.minimized import MINIMIZED, Minimized, known_minimized
+from behavexplor.triage.findings import MINIMIZED, Finding, Minimized, known_findings, known_minimized
 from behavexplor.triage.shrinking import shrink, size_of
 
 LIMIT: Final = 500  # executions of candidates for one failure
@@ -43,16 +42,11 @@ ENDINGS: Final = frozenset({"crash", "hang"})  # kinds of errors by which a driv
 
 
 class Signature(NamedTuple):
-    """What an execution tells of its failure without further executions.
+    """What an execution tells of its failure without further executions."""
 
-    Attributes:
-        class_id: class of the violation; "error/" and the kind of the failure if the ADS failed; empty if the execution
-            passed.
-        fault: verdict on a collision; None for another failure.
-    """
-
+    # class of the violation; "error/" and the kind of the failure if the ADS failed; empty if the execution passed
     class_id: str
-    fault: str | None = None
+    fault: str | None = None  # verdict on a collision; None for another failure
 
 
 def signature(outcome: Trace | ADSError, specs: Sequence[Spec]) -> Signature:
@@ -74,12 +68,7 @@ def recorded_signature(record: Record, trace: Trace, specs: Sequence[Spec]) -> S
 
 
 class ManyScenarios:
-    """Executes scenarios of one driver, in lock-step where that is possible.
-
-    Args:
-        simulation: simulation with the driver.
-        episodes: its episodes in lock-step; None if it has none.
-    """
+    """Executes scenarios of one driver, in lock-step where that is possible."""
 
     def __init__(self, simulation: Simulation, episodes: LockStep | None) -> None:
         self.simulation = simulation
@@ -174,11 +163,7 @@ class Minimizer(FailureEvaluator):
         self._episodes = self.simulation.lock_step(LOCK_STEP)
 
     def minimize(self, request: bytes) -> bytes:
-        """Minimize a failure.
-
-        Returns:
-            The minimized failure as a line of JSON, and the trace of its scenario.
-        """
+        """Minimize a failure; return it as a line of JSON, and the trace of its scenario."""
         head, data = request.split(b"\n", 1)
         values = json.loads(head)
         record, seed = Record.from_json(json.dumps(values["record"])), values["seed"]
@@ -197,18 +182,9 @@ def minimization(record: Record, trace: bytes, seed: int, known: Finding | None)
 def minimized(
     driven: ManyScenarios, specs: Sequence[Spec], record: Record, trace: Trace, known: Finding | None, seed: int
 ) -> tuple[Minimized, Trace]:
-    """Minimize a failure. Its class stays the same, and its fault and cause as far as they are known.
+    """Minimize a failure, and return it with the trace of its scenario.
 
-    Args:
-        driven: what drives many scenarios at a time.
-        specs: requirements that judge each execution.
-        record: record of the failure.
-        trace: its trace.
-        known: what triage has found about it; None if it has not been examined.
-        seed: seed of the campaign.
-
-    Returns:
-        The minimized failure and the trace of its scenario.
+    Its class stays the same, and its fault and cause as far as they are known.
     """
     logical, scenario = driven.simulation.logical, record.load_scenario()
     parts, removable = logical.parts(scenario), logical.removable
@@ -253,12 +229,7 @@ def left_as_found(
 
 
 def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = False) -> list[int]:
-    """Return the failures to minimize, in order.
-
-    Args:
-        store: the executions of the run.
-        numbers: numbers of failed executions; if there are none, the first failure of each class is chosen.
-        every: whether all failures are chosen instead.
+    """Return the failures to minimize, in order: those of the numbers, the first of each class, or all.
 
     Raises:
         InputError: if an execution has no failure.
@@ -279,18 +250,9 @@ class RunMinimization:
 
     A failure in which the driver ends or blocks its process, or does so in a simpler scenario, is left as it was found.
 
-    Args:
-        run: the run folder.
-        config: its configuration, see `behavexplor.campaign.provenance.accepted`.
-        workers: number of worker processes; 0 uses this process.
-        numbers: numbers of failed executions; if there are none, the first failure of each class is chosen.
-        every: whether all failures are chosen instead.
-        afresh: whether to minimize known failures again.
-        driver: object of this process that drives in place of the driving system that the configuration names; None
-            for none.
-
-    Attributes:
-        waiting: numbers of the failures that have to be minimized.
+    Numbers are those of failed executions; without them, the first failure of each class is chosen, or `every` failure.
+    Known ones are minimized again only `afresh`. A `driver` of this process drives in place of the one that the
+    configuration names. The numbers that have to be minimized are `waiting`.
 
     Raises:
         InputError: if the folder is not a run folder, or is damaged, or an execution has no failure.

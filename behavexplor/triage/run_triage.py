@@ -38,16 +38,8 @@ TIME_LIMIT: Final = 10.0  # time limit of one failure, in units of the time limi
 class RunTriage:
     """Triage of one run.
 
-    Args:
-        run: the run folder.
-        config: its configuration, see `behavexplor.campaign.provenance.accepted`.
-        workers: number of worker processes; 0 uses this process.
-        afresh: whether to examine all failures again.
-        driver: object of this process that drives in place of the driving system that the configuration names; None
-            for none.
-
-    Attributes:
-        waiting: numbers of the failures that have to be examined.
+    Known failures are examined again only `afresh`. A `driver` of this process drives in place of the one that the
+    configuration names. The numbers of the failures that have to be examined are `waiting`.
 
     Raises:
         InputError: if the folder is not a run folder, or is damaged.
@@ -133,30 +125,19 @@ def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of given labels with true labels.
+    """Agreement of given labels with true labels."""
 
-    Attributes:
-        n: number of compared labels.
-        equal: share of equal labels; meaningful only if both sequences use the same names.
-        precision: mean over the given names of the share of items with that label for which it is true.
-        recall: mean over the true names of the share of items with that true label that were given it.
-        adjusted_rand: adjusted Rand index, which compares the groups and ignores their names: 1 for equal groups,
-            about 0 for groups made by chance.
-    """
-
-    n: int
-    equal: float
-    precision: float
-    recall: float
+    n: int  # number of compared labels
+    equal: float  # share of equal labels; meaningful only if both sequences use the same names
+    precision: float  # mean over the given names of the share of items with that label for which it is true
+    recall: float  # mean over the true names of the share of items with that true label that were given it
+    # adjusted Rand index, which compares the groups and ignores their names: 1 for equal groups, about 0 for groups
+    # made by chance
     adjusted_rand: float
 
 
 def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
     """Compare given labels with true labels.
-
-    Args:
-        true: true labels.
-        given: given labels of the same items, in the same order.
 
     Raises:
         InputError: if there are no labels, or the sequences differ in length.
@@ -174,14 +155,9 @@ def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
 
 
 def weakness_records(traces: Iterable[tuple[int, Trace]], findings: Sequence[Finding]) -> dict[str, WeaknessRecord]:
-    """Count the executions that reached or triggered each weakness, and the failures that it caused.
+    """Count, by weakness, the executions that reached or triggered it, and the failures that it caused.
 
-    Args:
-        traces: traces of all executions of the rule planner with their numbers, in order.
-        findings: findings of its failures, in order.
-
-    Returns:
-        The record of each weakness by name.
+    Traces and findings are in order.
     """
     bits = ("reached", "triggered")
     seen: dict[str, dict[str, list[int]]] = {name: {bit: [] for bit in bits} for name in WEAKNESS_NAMES}

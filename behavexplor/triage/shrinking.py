@@ -33,27 +33,18 @@ class Property(Protocol):
 
 
 class Shrunk(NamedTuple):
-    """A minimized scenario.
+    """A minimized scenario."""
 
-    Attributes:
-        parts: its parts.
-        executions: number of candidates that were executed.
-        is_minimal: whether no pass could change it any more; False if the limit of executions was reached before.
-    """
-
-    parts: Parts
-    executions: int
-    is_minimal: bool
+    parts: Parts  # its parts
+    executions: int  # number of candidates that were executed
+    is_minimal: bool  # whether no pass could change it any more; False if the limit of executions was reached before
 
 
 def shrink(parts: Parts, held: Property, *, removable: bool, limit: int) -> Shrunk:
     """Minimize a scenario.
 
-    Args:
-        parts: the parts of a scenario with the property.
-        held: the property.
-        removable: whether a scenario is valid without some of its parts.
-        limit: number of executions after which no further candidates are executed.
+    `removable` says whether a scenario is valid without some of its parts. After `limit` executions, no further
+    candidates are executed.
     """
     asked = _Asked(parts, held, limit)
     before = None

@@ -25,15 +25,10 @@ HIDDEN: Final = 0.2  # the other vehicle was hidden if it was out of sight for m
 
 
 def signature(trace: Trace, violated: Sequence[str]) -> str | None:
-    """Return the likely cause of the first violated spec.
+    """Return the likely cause of the first violated spec, from a trace of the rule planner with its log.
 
-    Args:
-        trace: trace of the rule planner, with its decision log.
-        violated: names of the violated specs.
-
-    Returns:
-        One of the sixteen weaknesses, or "environment" if a faster vehicle drove into the ego's back. None if no
-        weakness fits, no spec is violated, or the trace has no decision log.
+    It is one of the sixteen weaknesses, or "environment" if a faster vehicle drove into the ego's back; None if no
+    weakness fits, no spec is violated, or the trace has no decision log.
     """
     event = violation_event(trace, violated)
     if event is None or "triggered" not in trace.decisions:

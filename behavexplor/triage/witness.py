@@ -13,9 +13,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.geometry import box_corners, boxes_overlap, project_on_polyline
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
@@ -67,12 +66,9 @@ def frequency(trace: Trace) -> int:
 
 
 def recorded_commands(trace: Trace) -> Floats:
-    """Recover the commands to highway-env's bicycle model at every step, for any ADS.
+    """Recover accelerations [m/s2] and steering angles [rad] from each frame to the next, shape (T - 1, 2).
 
     This inverts `Vehicle.step` of highway-env.
-
-    Returns:
-        Accelerations [m/s2] and steering angles [rad] from each frame to the next, shape (T - 1, 2).
     """
     heading, velocity = trace.heading[:, 0], trace.velocity[:, 0]
     forward = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
@@ -95,11 +91,7 @@ def as_actions(commands: Floats) -> Floats:
 
 
 class Playback:
-    """An ADS that gives recorded commands, one at each step, and then repeats the last one.
-
-    Args:
-        commands: accelerations [m/s2] and steering angles [rad], shape (T, 2).
-    """
+    """An ADS that gives recorded commands, shape (T, 2), one at each step, and then repeats the last one."""
 
     def __init__(self, commands: Floats) -> None:
         self._actions = as_actions(commands)
@@ -108,7 +100,7 @@ class Playback:
         self,
         observation: Floats,
         state: int | None = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
+        episode_start: Bools | None = None,  # noqa: ARG002 - all egos begin together
         deterministic: bool = True,  # noqa: ARG002 - playback is always deterministic
     ) -> tuple[Floats, int]:
         """Return the command of this step for every ego. The state counts the steps."""
@@ -119,27 +111,16 @@ class Playback:
 
 @dataclass(frozen=True)
 class Evasion:
-    """Driving that deviates from a recorded execution.
+    """Driving that deviates from a recorded execution."""
 
-    Attributes:
-        name: kind of evasion, for people.
-        begin: time up to which the ego drives as recorded [s].
-        acceleration: desired acceleration at first [m/s2].
-        lasting: duration of the first acceleration [s].
-        then: desired acceleration afterwards [m/s2].
-        jerk: limit of the change of the acceleration [m/s3].
-        offset: lateral move to the right of the path [m].
-        swing: duration of the lateral move [s].
-    """
-
-    name: str
-    begin: float
-    acceleration: float
-    lasting: float = math.inf
-    then: float = 0.0
-    jerk: float = math.inf
-    offset: float = 0.0
-    swing: float = 2.0
+    name: str  # kind of evasion, for people
+    begin: float  # time up to which the ego drives as recorded [s]
+    acceleration: float  # desired acceleration at first [m/s2]
+    lasting: float = math.inf  # duration of the first acceleration [s]
+    then: float = 0.0  # desired acceleration afterwards [m/s2]
+    jerk: float = math.inf  # limit of the change of the acceleration [m/s3]
+    offset: float = 0.0  # lateral move to the right of the path [m]
+    swing: float = 2.0  # duration of the lateral move [s]
 
     @property
     def effort(self) -> float:
@@ -152,11 +133,7 @@ class EvasionDriver:
 
     Row i of the batch is evasion i.
 
-    Args:
-        trace: trace of the recorded execution.
-        evasions: one evasion for each ego.
-        path: path of all egos, which begins with the recorded path, as points `SPACING` apart, shape (P, 2) [m].
-        speed_limit: limit up to which the egos accelerate [m/s].
+    Its path begins with the recorded path, as points `SPACING` apart, shape (P, 2) [m].
     """
 
     def __init__(self, trace: Trace, evasions: Sequence[Evasion], path: Floats, speed_limit: float) -> None:
@@ -173,7 +150,7 @@ class EvasionDriver:
         self,
         observation: Floats,
         state: tuple[int, Floats, Ints] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
+        episode_start: Bools | None = None,  # noqa: ARG002 - all egos begin together
         deterministic: bool = True,  # noqa: ARG002 - evasions are always deterministic
     ) -> tuple[Floats, tuple[int, Floats, Ints]]:
         """Return the commands of all egos. The state holds the step, the last commands and the nearest path points."""
@@ -263,16 +240,8 @@ def find_witness(
 ) -> tuple[Witness | None, int]:
     """Search for a witness: first by models of drivers, the mildest first, then by random evasions.
 
-    Args:
-        simulation: simulation with the environment of the collision; its ADS is not used.
-        scenario: the executed scenario.
-        trace: trace of its execution.
-        event: violation event of the collision.
-        rng: generator for the random evasions.
-
-    Returns:
-        The witness, or None if no evasion avoids the collision; and the number of evasions that were tried, 0 if the
-        environment cannot run in lock-step.
+    Return the witness, or None if no evasion avoids the collision; and the number of evasions that were tried, 0 if the
+    environment cannot run in lock-step. The ADS of the simulation is not used.
     """
     tried = 0
     for batch in range(1 + SAMPLES // BATCH):
@@ -318,8 +287,7 @@ def drive(
 ) -> list[Trace]:
     """Drive evasions along a path, up to `SURVIVED` after the recorded end.
 
-    Returns:
-        The trace of each evasion; none if the environment cannot run in lock-step.
+    Return the trace of each evasion; none if the environment cannot run in lock-step.
     """
     rate = frequency(trace)
     envs = simulation.vector_env(len(evasions), **_config(rate, trace.duration + SURVIVED))

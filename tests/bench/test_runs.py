@@ -15,9 +15,18 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
-from behavexplor.bench.campaign_service import CampaignService, Outcome, campaign_request, take_outcome
 from behavexplor.bench.experiment import experiment_config, read_experiment
-from behavexplor.bench.runs import ExperimentRunner, RunState, forecast, run_state, trial
+from behavexplor.bench.runs import (
+    CampaignService,
+    ExperimentRunner,
+    Outcome,
+    RunState,
+    campaign_request,
+    forecast,
+    run_state,
+    take_outcome,
+    trial,
+)
 from behavexplor.bench.summaries import summarize
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.progress import executing_and_analysing

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from scipy.stats import pearsonr
 
-from behavexplor.bench.curves import curves, curves_csv, curves_svg
+from behavexplor.bench.comparisons import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import experiment_config
 from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Failure, Mutant, Summary, correlation, summaries_csv

@@ -14,9 +14,9 @@ from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, INTERRUPTED, OK, fuzz, main
 from behavexplor.commands import replay as replaying
-from behavexplor.commands.checks import Checks
 from behavexplor.commands.display import Display, Meter
 from behavexplor.commands.evaluate import table
+from behavexplor.commands.fuzz import Checks
 from behavexplor.data.durable import write_durably
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.evaluation import Evaluation

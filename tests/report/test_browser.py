@@ -13,7 +13,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 from behavexplor.campaign.store import Store
-from behavexplor.report.packing import pack
+from behavexplor.report.gallery import pack
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 from tests.report.test_packing import wandering

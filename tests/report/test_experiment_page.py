@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from behavexplor.bench.curves import curves
+from behavexplor.bench.comparisons import curves
 from behavexplor.bench.experiment import experiment_config
 from behavexplor.bench.summaries import Failure, Summary
 from behavexplor.bench.tables import tables

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from behavexplor.data.trace import Trace
-from behavexplor.report.packing import LENGTH_UNIT, MAX_FRAMES, SPEED_UNIT, TIME_UNIT, TURN, pack
+from behavexplor.report.gallery import LENGTH_UNIT, MAX_FRAMES, SPEED_UNIT, TIME_UNIT, TURN, pack
 
 HALF = 0.5 + 1e-6
 

@@ -19,9 +19,8 @@ from behavexplor.judge.specs import SPECS
 from behavexplor.triage.blame import blame
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.examination import STREAM
-from behavexplor.triage.findings import Finding
+from behavexplor.triage.findings import Finding, Minimized, known_minimized, minimized_path, read_minimized, trace_path
 from behavexplor.triage.minimization import MINIMIZE, ManyScenarios, signature
-from behavexplor.triage.minimized import Minimized, known_minimized, minimized_path, read_minimized, trace_path
 from tests.fakes import LOGICAL
 from tests.triage.test_triage import fuzz
 from tests.triage.test_triage import run as triaged  # noqa: F401 - a fixture

@@ -13,8 +13,7 @@ import numpy as np
 
 from behavexplor.ads.learned.observation import lanes_beside
 from behavexplor.ads.learned.route_table import Course
-from behavexplor.ads.road.path import limit_at, project_on_path, row_at
-from behavexplor.ads.road.steering import steer
+from behavexplor.ads.road.path import limit_at, project_on_path, row_at, steer
 from behavexplor.ads.scene_io import ACCELERATION_RANGE
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.scene import EGO, SPEED, X, Y
@@ -47,15 +46,7 @@ def begin(course: Course, scene: Floats, memory: Floats) -> None:
 
 @kernel_inner
 def track(course: Course, scene: Floats, wanted: float, choice: int, memory: Floats) -> tuple[float, float]:
-    """Return acceleration [m/s2] and steering angle [rad] for a decision.
-
-    Args:
-        course: route table, see `behavexplor.ads.learned.route_table`.
-        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
-        wanted: wanted acceleration [m/s2].
-        choice: lane choice.
-        memory: memory of the ego, shape (N_MEMORIES,), changed in place.
-    """
+    """Return acceleration [m/s2] and steering angle [rad] for a decision; `memory` is changed in place."""
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     row = row_at(course.path, station)
     _choose_lane(course, row, offset, choice, memory)
@@ -92,15 +83,10 @@ def _accelerate(course: Course, scene: Floats, station: float, wanted: float) ->
 
 
 class Decisions(NamedTuple):
-    """Decisions of a batch of egos.
+    """Decisions of a batch of egos."""
 
-    Attributes:
-        accelerations: wanted accelerations [m/s2], shape (B,).
-        lanes: lane choices of `behavexplor.ads.learned.choosing`, shape (B,).
-    """
-
-    accelerations: Floats
-    lanes: Ints
+    accelerations: Floats  # wanted accelerations [m/s2], shape (B,)
+    lanes: Ints  # lane choices of `behavexplor.ads.learned.choosing`, shape (B,)
 
 
 def as_decisions(actions: Ints) -> Decisions:
@@ -112,12 +98,8 @@ def as_decisions(actions: Ints) -> Decisions:
 def choose(preferences: Floats, accelerations: Floats, how: int, share: float) -> tuple[float, int]:
     """Return the wanted acceleration [m/s2] and the lane choice of one ego.
 
-    Args:
-        preferences: outputs of the network, shape (N_ACTIONS,).
-        accelerations: acceleration of each action that keeps the lane, shape (N_ACTIONS / N_LANE_CHOICES,) [m/s2].
-        how: `MEAN` for the mean acceleration and the most probable lane choice; `MOST_PROBABLE` for the most probable
-            action, the first of several with equal probability; `DRAWN` for an action drawn with its probability.
-        share: number in [0, 1), the share of the cumulative probabilities at which a drawn action lies.
+    By `MEAN`, it is the mean acceleration and the most probable lane choice; by `MOST_PROBABLE`, the first most
+    probable action; by `DRAWN`, the one at `share` of the cumulative probabilities, in [0, 1).
     """
     if how == MEAN:
         return _average(preferences, accelerations)

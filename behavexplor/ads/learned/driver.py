@@ -6,14 +6,13 @@ from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.learned import choosing
 from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.learned.observation import N_FEATURES, see
 from behavexplor.ads.learned.route_table import Course, make_course
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, N_COLUMNS, PRESENT
 from behavexplor.errors import InputError
@@ -24,18 +23,13 @@ POLICY_FREQUENCY: Final = round(1 / choosing.PERIOD)
 
 
 class DenseNetwork(NamedTuple):
-    """The numbers of all layers in flat arrays, for any number of layers.
+    """The numbers of all layers in flat arrays, for any number of layers."""
 
-    Attributes:
-        weights: weights of all layers, shape (weights,). In a layer, the weights from the first input to each output
-            come first, then those from the second input.
-        biases: biases of all layers, shape (outputs of all layers,).
-        widths: number of inputs, and number of outputs of each layer, shape (layers + 1,).
-    """
-
+    # weights of all layers, shape (weights,). In a layer, the weights from the first input to each output come first,
+    # then those from the second input.
     weights: Floats
-    biases: Floats
-    widths: Ints
+    biases: Floats  # biases of all layers, shape (outputs of all layers,)
+    widths: Ints  # number of inputs, and number of outputs of each layer, shape (layers + 1,)
 
 
 def as_network(layers: Sequence[tuple[Floats, Floats]]) -> DenseNetwork:
@@ -60,15 +54,11 @@ def _aligned(values: Floats) -> Floats:
 
 @kernel_inner
 def evaluate(network: DenseNetwork, rooms: Floats, rows: Ints) -> int:
-    """Compute the outputs of a network for some rows, and return the index of the outputs in `rooms`.
+    """Compute a network's outputs for some rows, shape (n,), and return their index in `rooms`.
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
 
-    Args:
-        network: network to evaluate.
-        rooms: the inputs in `rooms[0]`, and room for those of other layers, shape (2, B, greatest width); changed in
-            place.
-        rows: rows for which the outputs are computed, shape (n,).
+    `rooms`, shape (2, B, greatest width), has the inputs first, and room for other layers.
     """
     weight, bias, now = 0, 0, 0
     for layer in range(len(network.widths) - 1):
@@ -121,13 +111,6 @@ def _add_eight(block: Floats, x: Floats, into: Floats) -> None:
 class LearnedDriver:
     """A driver whose network sees conflicts and gaps and chooses an acceleration and a lane, which a tracker follows.
 
-    Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
-        action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: decisions per second, 5 Hz.
-        vectorized: True, because each row is decided independently.
-        noise: see `behavexplor.ads.interface.StochasticADS`.
-
     Args:
         roadmap: road map with the ego's route.
         network: network whose outputs are the preferences of the actions. Between two layers tanh is applied.
@@ -136,11 +119,11 @@ class LearnedDriver:
         InputError: if the layers do not fit each other, or the numbers of features and actions.
     """
 
-    observation: Mapping[str, Any] = OBSERVATION
-    action: Mapping[str, Any] = ACTION
-    policy_frequency: int = POLICY_FREQUENCY
-    vectorized: bool = True
-    noise: int = 1
+    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = POLICY_FREQUENCY  # decisions per second, 5 Hz
+    vectorized: bool = True  # True, because each row is decided independently
+    noise: int = 1  # see `behavexplor.ads.interface.StochasticADS`
 
     def __init__(self, roadmap: RoadMap, network: TrainedNetwork) -> None:
         self._course = make_course(roadmap)
@@ -165,19 +148,10 @@ class LearnedDriver:
         self,
         observation: Floats,
         state: Floats | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002 - `draw` draws
     ) -> tuple[Floats, Floats]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
-
-        Args:
-            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: state returned by the last call, shape (B, 3); None at first.
-            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-            deterministic: ignored; nothing is drawn.
-
-        Returns:
-            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
 
         Raises:
             InputError: if an array has the wrong shape.
@@ -185,7 +159,7 @@ class LearnedDriver:
         return self._drive(observation, state, episode_start, None)
 
     def draw(
-        self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, noise: Floats
+        self, observation: Floats, state: Floats | None, episode_start: Bools | None, noise: Floats
     ) -> tuple[Floats, Floats]:
         """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
         return self._drive(observation, state, episode_start, np.array(noise[:, 0], dtype=np.float64))
@@ -195,15 +169,11 @@ class LearnedDriver:
         return {"wanted_offset": state[:, choosing.WANTED]}
 
     def _drive(
-        self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, shares: Floats | None
+        self, observation: Floats, state: Floats | None, episode_start: Bools | None, shares: Floats | None
     ) -> tuple[Floats, Floats]:
-        """Return the actions, shape (B, 2), and the memory. The action of an absent ego is 0.
+        """Return the actions, shape (B, 2), and the memory; `shares` in [0, 1), shape (B,), draw actions.
 
-        Args:
-            observation: see `predict`.
-            state: see `predict`.
-            episode_start: see `predict`.
-            shares: numbers in [0, 1) by which the actions are drawn, shape (B,); None for the network's own rule.
+        Without shares, the network's own rule decides. The action of an absent ego is 0.
         """
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), choosing.N_MEMORIES))
@@ -216,11 +186,7 @@ class LearnedDriver:
 
 
 class CourseKernels:
-    """What policies see of a batch of scenes, and the commands for their decisions, computed by machine code.
-
-    Args:
-        course: route table, see `behavexplor.ads.learned.route_table`.
-    """
+    """What policies see of a batch of scenes, and the commands for their decisions, computed by machine code."""
 
     def __init__(self, course: Course) -> None:
         self._course = course
@@ -236,10 +202,7 @@ class CourseKernels:
     def see(self, scenes: Floats, memory: Floats) -> Floats:
         """Compute the features that policies see, shape (B, N_FEATURES).
 
-        Args:
-            scenes: scenes, contiguous, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            memory: memory of each ego, contiguous, shape (B, 3). A row of zeros begins an episode; it is changed in
-                place.
+        Scenes and memory are contiguous. A row of zeros in the memory begins an episode; it is changed in place.
         """
         seen = np.zeros((len(scenes), N_FEATURES))
         self._see_all(self._course, scenes, memory, seen)
@@ -248,10 +211,7 @@ class CourseKernels:
     def track(self, scenes: Floats, decisions: choosing.Decisions, memory: Floats) -> Floats:
         """Compute the commands for policies' decisions, shape (B, 2), each in [-1, 1] over its range.
 
-        Args:
-            scenes: scenes, contiguous, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            decisions: decisions of the policies.
-            memory: memory of each ego, contiguous, shape (B, 3), changed in place.
+        Scenes and memory are contiguous; the memory is changed in place.
         """
         actions = np.zeros((len(scenes), 2))
         self._track_all(self._course, scenes, decisions, memory, actions)

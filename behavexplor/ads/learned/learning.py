@@ -1,10 +1,7 @@
 """The training environment of a policy, with features and actions in place of scenes and commands."""
 
-from typing import Any
-
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
@@ -12,19 +9,14 @@ from behavexplor.ads.learned.choosing import N_ACTIONS, N_MEMORIES, as_decisions
 from behavexplor.ads.learned.driver import CourseKernels
 from behavexplor.ads.learned.observation import N_FEATURES
 from behavexplor.ads.learned.route_table import make_course
+from behavexplor.data.array_types import Array, Floats, Singles
 from behavexplor.data.roadmap import RoadMap
 
 
 class LearningVecEnv(VecEnvWrapper):
     """A vector environment with features as observations, shape (N_FEATURES,), and N_ACTIONS discrete actions.
 
-    Args:
-        venv: vector environment that observes `Scene` and takes the commands of `behavexplor.ads.learned.driver`, at
-            the policy frequency of that driver.
-        roadmap: road map of the environment.
-
-    Attributes:
-        roadmap: the road map.
+    The one inside observes `Scene` and takes the commands of `behavexplor.ads.learned.driver`, at its policy frequency.
     """
 
     def __init__(self, venv: VecEnv, roadmap: RoadMap) -> None:
@@ -33,15 +25,15 @@ class LearningVecEnv(VecEnvWrapper):
         self.roadmap = roadmap
         self._kernels = CourseKernels(make_course(roadmap))
         self._memory = np.zeros((venv.num_envs, N_MEMORIES))
-        self._scenes: NDArray[np.float64] = np.zeros(0)
+        self._scenes: Floats = np.zeros(0)
 
-    def reset(self) -> NDArray[np.float32]:
+    def reset(self) -> Singles:
         """Begin an episode in every sub-environment."""
         self._memory[:] = 0.0
         self._scenes = np.ascontiguousarray(self.venv.reset(), dtype=np.float64)
         return self._see()
 
-    def step_async(self, actions: NDArray[Any]) -> None:
+    def step_async(self, actions: Array) -> None:
         """Pass on the commands for the actions, shape (num_envs,)."""
         chosen = np.asarray(actions, dtype=np.int64)
         self.venv.step_async(self._kernels.track(self._scenes, as_decisions(chosen), self._memory))
@@ -56,5 +48,5 @@ class LearningVecEnv(VecEnvWrapper):
             self._memory[i] = 0.0
         return self._see(), rewards, dones, infos
 
-    def _see(self) -> NDArray[np.float32]:
+    def _see(self) -> Singles:
         return self._kernels.see(self._scenes, self._memory).astype(np.float32)

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.durable import new_file
 from behavexplor.data.untrusted import read_arrays, read_file
 from behavexplor.errors import InputError
@@ -13,21 +13,16 @@ from behavexplor.errors import InputError
 Rule = Literal["mean", "most probable"]  # how a policy decides when it does not draw
 RULES: Final[tuple[Rule, ...]] = get_args(Rule)
 
-Layers = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+Layers = list[tuple[Floats, Floats]]
 
 _RULE: Final = "decision"  # name of the rule in a file
 
 
 class TrainedNetwork(NamedTuple):
-    """A network and how its policy decides.
+    """A network and how its policy decides."""
 
-    Attributes:
-        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer.
-        rule: how the policy decides when it does not draw, see `behavexplor.ads.learned.choosing.decide`.
-    """
-
-    layers: Layers
-    rule: Rule = "mean"
+    layers: Layers  # weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer
+    rule: Rule = "mean"  # how the policy decides when it does not draw, see `behavexplor.ads.learned.choosing.choose`
 
 
 def read_network(path: Path) -> TrainedNetwork:

@@ -43,11 +43,8 @@ def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
     as times, and as distances; speed of the other vehicle; time of the ego to the conflict; acceleration of the other
     vehicle.
 
-    Args:
-        course: route table, see `behavexplor.ads.learned.route_table`.
-        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
-        wanted: offset of the ego's wanted lane from the route [m], positive to the right.
-        out: array to fill, shape (N_FEATURES,).
+    The ego's wanted lane is at the offset `wanted` from the route [m], positive to the right. `out` has the shape
+    (N_FEATURES,).
     """
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     out[:] = 0.0
@@ -151,11 +148,7 @@ def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -
 def _add_conflict(
     course: Course, scene: Floats, station: float, other: int, there: float, zone: int, out: Floats, count: int
 ) -> int:
-    """Insert one stay among those found so far, unless it lies behind the ego or too far in the future.
-
-    Returns:
-        The number of stays found so far.
-    """
+    """Insert one stay among those found, unless it is behind the ego or far in the future; return their number."""
     speed, half = scene[other, SPEED], scene[other, LENGTH] / 2
     enters, leaves = course.zones[zone, IN] - there, course.zones[zone, OUT] - there
     if math.isinf(enters) or leaves < 0.0 or course.zones[zone, END] < station - scene[EGO, LENGTH] / 2:

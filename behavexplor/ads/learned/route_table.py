@@ -5,11 +5,10 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.road.lane_arrays import LENGTH, lane_array, pose_on_lane
 from behavexplor.ads.road.path import SPACING, Path, ego_path, pose_on_path, project_on_path
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.roadmap import Lane, RoadMap
 from behavexplor.jit import kernel_in_place
@@ -21,27 +20,18 @@ IN, OUT, START, END = 0, 1, 2, 3  # columns of `Course.zones`
 
 
 class Course(NamedTuple):
-    """The route table of one ego route. Its columns along the path have a row every `SPACING` meters.
+    """The route table of one ego route. Its columns along the path have a row every `SPACING` meters."""
 
-    Attributes:
-        path: path of the ego, see `behavexplor.ads.road.path`.
-        curvature: curvature of the route [1/m], positive to the right, shape (S,).
-        side_by_side: distance to the end of the lanes beside the route's [m], shape (S,).
-        lanes: all lanes of NPC routes, shape (L, 7), see `behavexplor.ads.road.lane_arrays`.
-        tails: row of `zones` at which the ways on from each lane begin, shape (L + 1,).
-        zones: one row for each way on from a lane, shape (Z, 4) [m]: the distances from the start of the lane at which
-            a vehicle enters and leaves the ego's path, and the stations of that path between which it is then.
-            Infinite if the vehicle never enters the ego's path.
-        own: True for each lane of the ego's route, shape (L,).
-    """
-
-    path: Path
-    curvature: Floats
-    side_by_side: Floats
-    lanes: Floats
-    tails: Ints
+    path: Path  # path of the ego, see `behavexplor.ads.road.path`
+    curvature: Floats  # curvature of the route [1/m], positive to the right, shape (S,)
+    side_by_side: Floats  # distance to the end of the lanes beside the route's [m], shape (S,)
+    lanes: Floats  # all lanes of NPC routes, shape (L, 7), see `behavexplor.ads.road.lane_arrays`
+    tails: Ints  # row of `zones` at which the ways on from each lane begin, shape (L + 1,)
+    # one row for each way on from a lane, shape (Z, 4) [m]: the distances from the start of the lane at which a vehicle
+    # enters and leaves the ego's path, and the stations of that path between which it is then. Infinite if the vehicle
+    # never enters the ego's path.
     zones: Floats
-    own: NDArray[np.bool_]
+    own: Bools  # True for each lane of the ego's route, shape (L,)
 
 
 @cache

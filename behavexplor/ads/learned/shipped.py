@@ -12,11 +12,7 @@ FOLDER = Path(__file__).parent / "policies"
 
 
 def learned_driver(roadmap: RoadMap, variant: str = "") -> LearnedDriver:
-    """Load a policy that comes with this package.
-
-    Args:
-        roadmap: road map with the ego's route.
-        variant: name of the policy, such as "lane-change" or "lane-change-undertrained".
+    """Load a policy that comes with this package, such as "lane-change" or "lane-change-undertrained".
 
     Raises:
         InputError: if no policy has that name.
@@ -25,10 +21,7 @@ def learned_driver(roadmap: RoadMap, variant: str = "") -> LearnedDriver:
 
 
 def policy_file(name: str) -> Path:
-    """Return the file of a policy's network.
-
-    Args:
-        name: "learned:NAME" for a policy that comes with this package, or a path.
+    """Return the file of a policy's network: "learned:NAME" for one that comes with this package, or a path.
 
     Raises:
         InputError: if there is no such policy.

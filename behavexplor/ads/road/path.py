@@ -1,4 +1,4 @@
-"""The ego's path: its route as a reference line, with the lanes to the left and right of it."""
+"""The ego's path: its route as a reference line, with the lanes beside it, and steering along it by pure pursuit."""
 
 import math
 from collections.abc import Iterable
@@ -8,9 +8,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from behavexplor.ads.road import lane_arrays
+from behavexplor.ads.scene_io import STEERING_RANGE
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import wrapped
 from behavexplor.data.roadmap import Lane, RoadMap
+from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 from behavexplor.jit import kernel_inner
 
 SPACING: Final = 1.0  # distance between the stations of the tables of limits and neighboring lanes [m]
@@ -19,46 +21,27 @@ APPROACH_BRAKING: Final = 2.0  # deceleration before curves [m/s2]
 
 
 class Path(NamedTuple):
-    """The ego's route as plain arrays.
+    """The ego's route as plain arrays."""
 
-    Attributes:
-        lanes: lanes of the route, with successive lanes of equal curvature joined, shape (lanes, 7), see
-            `behavexplor.ads.road.lane_arrays`.
-        bounds: stations where the lanes begin, and the station where the last one ends [m], shape (lanes + 1,).
-        limits: greatest allowed speed every `SPACING` meters [m/s], shape (stations,).
-        left: number of lanes in the ego's direction to the left of the route, shape (stations,).
-        right: number of lanes in the ego's direction to the right of the route, shape (stations,).
-        oncoming: 1 where a lane of the opposite direction lies left of all these lanes, else 0, shape (stations,).
-        junction_start: station of the stop line [m]; infinity without a junction.
-        junction_end: station at which the junction ends [m]; minus infinity without a junction.
-        destination: station of the destination [m].
-        lane_width: width of a lane [m].
-        speed_limit: speed limit of the map [m/s].
-    """
-
+    # lanes of the route, with successive lanes of equal curvature joined, shape (lanes, 7), see
+    # `behavexplor.ads.road.lane_arrays`
     lanes: Floats
-    bounds: Floats
-    limits: Floats
-    left: Floats
-    right: Floats
-    oncoming: Floats
-    junction_start: float
-    junction_end: float
-    destination: float
-    lane_width: float
-    speed_limit: float
+    bounds: Floats  # stations where the lanes begin, and the station where the last one ends [m], shape (lanes + 1,)
+    limits: Floats  # greatest allowed speed every `SPACING` meters [m/s], shape (stations,)
+    left: Floats  # number of lanes in the ego's direction to the left of the route, shape (stations,)
+    right: Floats  # number of lanes in the ego's direction to the right of the route, shape (stations,)
+    oncoming: Floats  # 1 where a lane of the opposite direction lies left of all these lanes, else 0, shape (stations,)
+    junction_start: float  # station of the stop line [m]; infinity without a junction
+    junction_end: float  # station at which the junction ends [m]; minus infinity without a junction
+    destination: float  # station of the destination [m]
+    lane_width: float  # width of a lane [m]
+    speed_limit: float  # speed limit of the map [m/s]
 
 
 def ego_path(
     roadmap: RoadMap, lateral_acceleration: float = LATERAL_ACCELERATION, approach_braking: float = APPROACH_BRAKING
 ) -> Path:
-    """Make the ego's path from its route and the lanes beside it.
-
-    Args:
-        roadmap: road map with the ego's route.
-        lateral_acceleration: greatest lateral acceleration, which limits the speed in curves [m/s2].
-        approach_braking: greatest deceleration before curves, which limits the speed there [m/s2].
-    """
+    """Make the ego's path, whose limits of speed keep lateral acceleration and braking before curves [m/s2]."""
     route = roadmap.ego_route
     inside = [i for i, lane in enumerate(route.lanes) if lane.junction]
     lanes = _joined(route.lanes)
@@ -214,3 +197,22 @@ def point_beside(path: Path, station: float, offset: float) -> tuple[float, floa
     """Return the point at a station and an offset."""
     x, y, heading = pose_on_path(path, station)
     return x - offset * math.sin(heading), y + offset * math.cos(heading)
+
+
+LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
+LOOK_AHEAD_TIME: Final = 0.3  # growth of that distance with speed [s]
+
+
+@kernel_inner
+def steer(path: Path, scene: Floats, station: float, offset: float) -> float:
+    """Return the steering angle [rad] by pure pursuit of a point ahead, at an offset from the path.
+
+    The circle through that point is exact for highway-env's bicycle model.
+    """
+    x, y, along = pose_on_path(path, station + LOOK_AHEAD + LOOK_AHEAD_TIME * scene[EGO, SPEED])
+    dx = x - math.sin(along) * offset - scene[EGO, X]
+    dy = y + math.cos(along) * offset - scene[EGO, Y]
+    bearing = math.atan2(dy, dx) - scene[EGO, HEADING]
+    share = scene[EGO, LENGTH] / math.hypot(dx, dy)
+    wanted = math.atan(2 * share * math.sin(bearing) / (1 + share * math.cos(bearing)))
+    return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])

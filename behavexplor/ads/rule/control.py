@@ -21,21 +21,13 @@ TURN_WAY, TURN = 15.0, 0.1  # a left turn: the route has turned by more than TUR
 
 
 class LateralProfile(NamedTuple):
-    """Offset from the route (positive to the right) as a function of the station.
+    """Offset from the route (positive to the right) as a function of the station."""
 
-    Attributes:
-        start: station where the change begins [m].
-        length: length of the change along the route [m], 0 if the last offset is kept from the beginning.
-        first: offset at the start and before it [m].
-        slope: slope of the offset at the start; before the start it is 0.
-        last: offset at the end and after it [m].
-    """
-
-    start: float
-    length: float
-    first: float
-    slope: float
-    last: float
+    start: float  # station where the change begins [m]
+    length: float  # length of the change along the route [m], 0 if the last offset is kept from the beginning
+    first: float  # offset at the start and before it [m]
+    slope: float  # slope of the offset at the start; before the start it is 0
+    last: float  # offset at the end and after it [m]
 
 
 @kernel_inner

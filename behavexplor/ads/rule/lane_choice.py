@@ -25,21 +25,13 @@ ALONGSIDE: Final = 1.0  # least difference of speed to an overtaken vehicle [m/s
 
 
 class EgoState(NamedTuple):
-    """The ego on its route.
+    """The ego on its route."""
 
-    Attributes:
-        station: station of the center [m].
-        offset: offset of the center from the route [m].
-        speed: speed, at least 0 [m/s].
-        half_length: half the length [m].
-        half_width: half the width [m].
-    """
-
-    station: float
-    offset: float
-    speed: float
-    half_length: float
-    half_width: float
+    station: float  # station of the center [m]
+    offset: float  # offset of the center from the route [m]
+    speed: float  # speed, at least 0 [m/s]
+    half_length: float  # half the length [m]
+    half_width: float  # half the width [m]
 
 
 @kernel_inner

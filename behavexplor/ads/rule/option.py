@@ -9,8 +9,7 @@ from behavexplor.ads.rule.control import PERIOD, LateralProfile
 from behavexplor.ads.rule.lane_choice import EgoState, cuts_in, lane_wall
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph
-from behavexplor.ads.rule.speed_motions import ACCELERATIONS, Situation, moved, stops_inside
-from behavexplor.ads.rule.speed_search import Nodes, SpeedPlan, search
+from behavexplor.ads.rule.speed_search import ACCELERATIONS, Nodes, Situation, SpeedPlan, moved, search, stops_inside
 from behavexplor.ads.rule.station_time import (
     COST,
     HARD_HIGH,
@@ -32,15 +31,7 @@ RESPONSE: Final = 0.3  # time in which the free speed is reached [s]
 
 @kernel_inner
 def plan_speed(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
-    """Plan the speed along the path: drive freely if possible, else search for the best motion, else escape.
-
-    Args:
-        situation: situation of the ego.
-        station: station of the ego [m].
-        speed: speed of the ego [m/s].
-        acceleration: last commanded acceleration [m/s2].
-        nodes: working space for the search.
-    """
+    """Plan the speed along the path: drive freely if possible, else search for the best motion, else escape."""
     plan = _drive_freely(situation, station, speed)
     if plan.survived == N_INTERVALS and plan.risk == 0.0 and plan.inside == 0.0:
         return plan
@@ -123,43 +114,25 @@ def _first_contact(situation: Situation, s: float, v: float, a: float) -> int:
 
 
 class Surroundings(NamedTuple):
-    """Input of one decision apart from the memory, and working space.
+    """Input of one decision apart from the memory, and working space."""
 
-    Attributes:
-        path: path of the ego.
-        graph: lanes of the map.
-        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
-        others: working space for the table of other vehicles, see `behavexplor.ads.rule.traffic`.
-        room: working space for the station-time graph.
-        nodes: working space for the search of the speed.
-        p: parameters of the planner.
-    """
-
-    path: Path
-    graph: LaneGraph
-    scene: Floats
-    others: Floats
-    room: StationTime
-    nodes: Nodes
-    p: Numbers
+    path: Path  # path of the ego
+    graph: LaneGraph  # lanes of the map
+    scene: Floats  # scene, shape (1 + n, 8), see `behavexplor.data.scene`
+    others: Floats  # working space for the table of other vehicles, see `behavexplor.ads.rule.traffic`
+    room: StationTime  # working space for the station-time graph
+    nodes: Nodes  # working space for the search of the speed
+    p: Numbers  # parameters of the planner
 
 
 class Option(NamedTuple):
-    """A path and a speed that the ego may choose.
+    """A path and a speed that the ego may choose."""
 
-    Attributes:
-        profile: offset of the path from the route.
-        plan: speed plan along the path.
-        yields: True if the ego waits before the junction.
-        crosses: True if the ego could cross the junction.
-        limit: station up to which the ego may creep [m].
-    """
-
-    profile: LateralProfile
-    plan: SpeedPlan
-    yields: bool
-    crosses: bool
-    limit: float
+    profile: LateralProfile  # offset of the path from the route
+    plan: SpeedPlan  # speed plan along the path
+    yields: bool  # True if the ego waits before the junction
+    crosses: bool  # True if the ego could cross the junction
+    limit: float  # station up to which the ego may creep [m]
 
 
 @kernel_inner

@@ -21,7 +21,7 @@ from behavexplor.ads.rule.traffic import N_MEMORIES, N_OTHER_COLUMNS, Memory, as
 from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
 from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, HEADING, N_COLUMNS, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.data.scene import LENGTH as EGO_LENGTH
@@ -207,17 +207,11 @@ def _settle(world: Surroundings, ego: lane_choice.EgoState, option: Option, memo
 
 
 class RulePlanner:
-    """A planner of rules and search that drives the ego's route among other vehicles.
+    """A planner of rules and search that drives the ego's route among other vehicles."""
 
-    Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
-        action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: decisions per second, 10 Hz.
-    """
-
-    observation: Mapping[str, Any] = OBSERVATION
-    action: Mapping[str, Any] = ACTION
-    policy_frequency: int = round(1 / PERIOD)
+    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = round(1 / PERIOD)  # decisions per second, 10 Hz
     vectorized: bool = True
 
     def __init__(self, roadmap: RoadMap, parameters: Parameters = Parameters()) -> None:  # noqa: B008
@@ -235,19 +229,10 @@ class RulePlanner:
         self,
         observation: Floats,
         state: Floats | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Floats]:
         """Decide for a batch of egos.
-
-        Args:
-            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: state returned by the last call, shape (B, 29); None at first.
-            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-            deterministic: ignored; the planner is always deterministic.
-
-        Returns:
-            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
 
         Raises:
             InputError: if an array has the wrong shape.
@@ -261,11 +246,10 @@ class RulePlanner:
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the last decisions, from the state that `predict` returned.
 
-        Returns:
-            Arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
-            `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's lane and 1 the next to the right;
-            `survived`, the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the
-            weaknesses, see `behavexplor.data.trace.weakness_names`.
+        Arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
+        `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's lane and 1 the next to the right; `survived`,
+        the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the weaknesses, see
+        `behavexplor.data.trace.weakness_names`.
         """
         memories = as_records(np.ascontiguousarray(state))
         return {_STORED_NAMES.get(name, name): memories[name] for name in _LOGGED}

@@ -84,15 +84,10 @@ DEFAULT: Final = "apollo-easy"
 
 @dataclass(frozen=True)
 class Profile:
-    """A set of weaknesses.
+    """A set of weaknesses."""
 
-    Attributes:
-        severities: severities by the names of the weaknesses.
-        gates: other parameters that differ from those of the careful planner.
-    """
-
-    severities: Mapping[str, float]
-    gates: Mapping[str, float]
+    severities: Mapping[str, float]  # severities by the names of the weaknesses
+    gates: Mapping[str, float]  # other parameters that differ from those of the careful planner
 
 
 PROFILES = MappingProxyType(

@@ -1,38 +1,139 @@
-"""Search of the speed: dynamic programming over the stations and speeds that the ego can reach, stage by stage."""
+"""Search of the speed: dynamic programming over the stations and speeds that the ego can reach, stage by stage.
+
+All motions are driven side by side through a stage, one interval after the other. Their arithmetic then has no
+branches, so the processor works on several motions at once.
+"""
 
 import math
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from behavexplor.ads.road.path import Path, limit_at
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.speed_motions import (
-    ACCELERATIONS,
-    BEFORE,
-    CHOSEN,
-    CLEAR,
-    HARDEST,
-    MOST,
-    MOST_HURRY,
-    N_BINS,
-    N_ROWS,
-    N_SPEED_BINS,
-    RISKED,
-    SPEED,
-    SPENT,
-    STAGES,
-    STATION,
-    STOPPED,
-    STRONGEST,
-    TOTAL_SPENT,
-    Situation,
-    drive,
-    speed_bin,
-    station_bin,
+from behavexplor.ads.rule.station_time import (
+    COST,
+    HARD_HIGH,
+    HARD_LOW,
+    INTERVAL,
+    LEAD_SPEED,
+    LEADS,
+    N_INTERVALS,
+    SOFT_HIGH,
+    SOFT_LOW,
+    StationTime,
 )
-from behavexplor.ads.rule.station_time import HARD_LOW, INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.jit import kernel, kernel_inner
+
+STAGES: Final = (2, 2, 4, 4, 4, 4, 6, 6)  # number of intervals in each stage of constant acceleration
+ACCELERATIONS: Final = (-8.0, -5.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0)  # candidate accelerations [m/s2]
+HARDEST: Final = (0, 0, 1, 1, 2, 2, 2, 2)  # index of the hardest braking in each stage
+STRONGEST: Final = (8, 8, 8, 8, 7, 7, 7, 7)  # index of the strongest acceleration in each stage
+
+FINENESS: Final = 2.5  # bins per root of distance or speed, fine near 0; a stage keeps one node a bin
+N_STATION_BINS: Final = 42
+N_SPEED_BINS: Final = 16
+N_BINS: Final = N_STATION_BINS * N_SPEED_BINS
+MOST_HURRY: Final = 1.5  # weight of the delay in the first interval
+# Where the rows of the motions of a stage begin. They are one array with constant offsets, so that the compiler knows
+# that rows do not overlap. Otherwise, it would not compute several motions at once.
+MOST: Final = N_BINS * len(ACCELERATIONS)
+N_ROWS: Final = 12
+STATION, SPEED, LIMIT, AHEAD, AFTER, CLEAR = (i * MOST for i in range(6))
+CHOSEN, BEFORE, SPENT, TOTAL_SPENT, RISKED, STOPPED = (i * MOST for i in range(6, N_ROWS))
+
+
+@kernel_inner
+def station_bin(driven: float) -> int:
+    """Return the row of bins for a distance since the start of the plan [m]."""
+    return min(int(FINENESS * math.sqrt(driven)), N_STATION_BINS - 1)
+
+
+@kernel_inner
+def speed_bin(speed: float) -> int:
+    """Return the column of bins for a speed [m/s]."""
+    return min(math.ceil(FINENESS * math.sqrt(speed)), N_SPEED_BINS - 1)
+
+
+class Situation(NamedTuple):
+    """Input of the speed search apart from the ego's motion."""
+
+    path: Path  # path of the ego
+    graph: StationTime  # stretches of the path that other vehicles occupy
+    half_length: float  # half the length of the ego [m]
+    wall: float  # station that must not be passed [m], infinite for none
+    caution: float  # share of the cost of coming too close to other vehicles that counts
+    # cost that the best motion probably has; it makes the search faster, and does not change its result
+    expected: float
+    p: Numbers  # parameters of the planner
+
+
+@kernel_inner
+def drive(situation: Situation, k: int, n: int, motions: Floats) -> None:
+    """Drive all motions of a stage through one interval. Those that end in contact are marked, and driven on."""
+    path, p = situation.path, situation.p
+    for j in range(n):
+        motions[LIMIT + j] = limit_at(path, motions[STATION + j])
+    for j in range(n):
+        motions[AHEAD + j], motions[AFTER + j] = moved(
+            motions[STATION + j], motions[SPEED + j], motions[CHOSEN + j], motions[LIMIT + j]
+        )
+    _meet_all(situation, k, n, motions)
+    for j in range(n):
+        v, after, limit = motions[SPEED + j], motions[AFTER + j], motions[LIMIT + j]
+        cost = _plus_effort(motions[SPENT + j], v, after, limit, k, p)
+        stops = stops_inside(situation, v, after, motions[AHEAD + j])
+        motions[SPENT + j] = cost + (p.keep_clear_cost * INTERVAL if stops else 0.0)
+        motions[STOPPED + j] += INTERVAL if stops else 0.0
+        motions[STATION + j], motions[SPEED + j] = motions[AHEAD + j], after
+
+
+@kernel_inner
+def _meet_all(situation: Situation, k: int, n: int, motions: Floats) -> None:
+    """Mark the motions of an interval that end in contact, and add the costs of those that come too close."""
+    spans = situation.graph.spans
+    for i in range(situation.graph.counts[k]):
+        risk = spans[k, i, COST] * INTERVAL
+        cost = situation.caution * spans[k, i, COST] * INTERVAL
+        hard_low, hard_high = spans[k, i, HARD_LOW], spans[k, i, HARD_HIGH]
+        soft_low, soft_high = spans[k, i, SOFT_LOW], spans[k, i, SOFT_HIGH]
+        for j in range(n):
+            s, ahead = motions[STATION + j], motions[AHEAD + j]
+            touches = (ahead > hard_low) & (s < hard_high)
+            is_close = (ahead > soft_low) & (s < soft_high)
+            motions[CLEAR + j] = 0.0 if touches else motions[CLEAR + j]
+            motions[SPENT + j] += cost if is_close else 0.0
+            motions[RISKED + j] += risk if is_close else 0.0
+    for j in range(n):
+        motions[CLEAR + j] = 0.0 if motions[AHEAD + j] > situation.wall else motions[CLEAR + j]
+
+
+@kernel_inner
+def moved(s: float, v: float, a: float, limit: float) -> tuple[float, float]:
+    """Return station and speed after one interval, in which the speed does not rise above the limit."""
+    after = min(max(v + a * INTERVAL, 0.0), max(limit, v))
+    return s + 0.5 * (v + after) * INTERVAL, after
+
+
+@kernel_inner
+def stops_inside(situation: Situation, v: float, after: float, ahead: float) -> bool:
+    """Return whether the ego hardly moves, and does not speed up, inside the junction."""
+    begin = situation.path.junction_start - situation.half_length
+    end = situation.path.junction_end + situation.half_length
+    return (after <= v) & (after < situation.p.slow_speed) & (begin < ahead) & (ahead < end)
+
+
+@kernel_inner
+def _plus_effort(cost: float, v: float, after: float, limit: float, k: int, p: Numbers) -> float:
+    """Return a cost with those of delay, of changing the speed, and of exceeding the limit in an interval added."""
+    achieved = (after - v) / INTERVAL
+    eases = (achieved > 0.0) & (achieved <= p.comfortable_acceleration)
+    effort = p.acceleration_cost if eases else p.braking_cost
+    hurry = MOST_HURRY - k / N_INTERVALS  # meters count more now than later, or the ego would always start later
+    cost += (p.delay_cost * hurry * (limit - after) + effort * achieved * achieved) * INTERVAL
+    return cost + (p.overspeed_cost * (after - limit) * INTERVAL if after > limit else 0.0)
+
 
 CLOSE, WIDE = 1.1, 1.5  # the first two bounds of the search, in multiples of the expected cost
 ROUNDING: Final = 1e-9  # much more than the share by which roundings change a cost
@@ -41,47 +142,27 @@ S, V, LAST, FIRST, TOTAL, RISK, INSIDE = range(7)  # columns of a node
 
 
 class SpeedPlan(NamedTuple):
-    """The best motion along the path.
+    """The best motion along the path."""
 
-    Attributes:
-        acceleration: acceleration to command now [m/s2].
-        survived: number of intervals without contact.
-        station: station at the end [m].
-        speed: speed at the end [m/s].
-        risk: cost of coming too close to other vehicles.
-        inside: time of stopping inside the junction [s].
-        free: True if the motion is that on a free road.
-        cost: cost of the motion, 0 if the search did not find it.
-    """
-
-    acceleration: float
-    survived: int
-    station: float
-    speed: float
-    risk: float
-    inside: float
-    free: bool
-    cost: float
+    acceleration: float  # acceleration to command now [m/s2]
+    survived: int  # number of intervals without contact
+    station: float  # station at the end [m]
+    speed: float  # speed at the end [m/s]
+    risk: float  # cost of coming too close to other vehicles
+    inside: float  # time of stopping inside the junction [s]
+    free: bool  # True if the motion is that on a free road
+    cost: float  # cost of the motion, 0 if the search did not find it
 
 
 class Nodes(NamedTuple):
-    """Working space for the search.
+    """Working space for the search."""
 
-    Attributes:
-        stages: nodes of the present and the next stage, shape (2, N_BINS, 7).
-        cheapest: cheapest motion into each bin, shape (N_BINS,), -1 for none.
-        filled: bins with a motion, in the order in which they are found, shape (N_BINS,).
-        motions: rows of the motions of a stage, shape (N_ROWS * MOST,).
-        parents: node from which each motion starts, shape (MOST,).
-        bins: bin in which each motion ends, shape (MOST,).
-    """
-
-    stages: Floats
-    cheapest: Ints
-    filled: Ints
-    motions: Floats
-    parents: Ints
-    bins: Ints
+    stages: Floats  # nodes of the present and the next stage, shape (2, N_BINS, 7)
+    cheapest: Ints  # cheapest motion into each bin, shape (N_BINS,), -1 for none
+    filled: Ints  # bins with a motion, in the order in which they are found, shape (N_BINS,)
+    motions: Floats  # rows of the motions of a stage, shape (N_ROWS * MOST,)
+    parents: Ints  # node from which each motion starts, shape (MOST,)
+    bins: Ints  # bin in which each motion ends, shape (MOST,)
 
 
 @kernel
@@ -117,14 +198,11 @@ def search(situation: Situation, station: float, speed: float, acceleration: flo
 def _search_below(
     bound: float, situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes
 ) -> tuple[SpeedPlan, bool]:
-    """Search among the motions whose cost does not exceed a bound.
+    """Search among the motions whose cost does not exceed a bound; return the plan, and whether it is the best.
 
     Costs never fall along a motion, so motions beyond the bound never lead to one within it, and in no bin are they
     cheaper than one within it. Without them, the search finds the same plan if its cost is within the bound. Only the
     order of the nodes changes, which matters if two costs are equal.
-
-    Returns:
-        The plan, and whether it is surely that of a search without a bound.
     """
     now, following, count = nodes.stages[0], nodes.stages[1], 1
     now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0
@@ -203,8 +281,7 @@ def _compare(situation: Situation, station: float, bound: float, n: int, nodes: 
 def _keep_cheapest(now: Floats, following: Floats, n: int, is_first: bool, nodes: Nodes) -> tuple[int, bool]:
     """Keep the cheapest motion in each bin as a node of the next stage.
 
-    Returns:
-        The number of nodes, and whether motions from several nodes had equal costs, so that their order decided.
+    Return the number of nodes, and whether motions from several nodes had equal costs, so that their order decided.
     """
     motions, bins, cheapest, found, tied = nodes.motions, nodes.bins, nodes.cheapest, 0, False
     cheapest[:] = -1

@@ -8,10 +8,9 @@ import numpy as np
 from behavexplor.ads.road.lane_arrays import CURVATURE, direction_on_lane
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
 from behavexplor.ads.road.path import Path, project_on_path
-from behavexplor.ads.rule.beside import Box, box_on_path, is_beside
 from behavexplor.ads.rule.control import LateralProfile
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
+from behavexplor.ads.rule.prediction import Box, LaneGraph, box_on_path, find_tails, is_beside, reach
 from behavexplor.ads.rule.weaknesses import R1_1, R1_2, R1_4, R1_7, R1_8, note
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
@@ -90,10 +89,6 @@ def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
     """Return the bearing of a vehicle's center from the ego's center [rad], and the range of its corners' bearings.
 
     The range is the least and the greatest bearing of a corner relative to that of the center [rad].
-
-    Args:
-        scene: scene, see `behavexplor.data.scene`.
-        row: row of the vehicle.
     """
     dx, dy = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]
     bearing = math.atan2(dy, dx)
@@ -108,27 +103,16 @@ def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
 
 
 class Motion(NamedTuple):
-    """Predicted motion and size of an NPC along its ways.
+    """Predicted motion and size of an NPC along its ways."""
 
-    Attributes:
-        speed: present speed [m/s].
-        acceleration: present acceleration [m/s2].
-        memory: time for which the acceleration may go on [s].
-        limit: greatest speed [m/s].
-        length: length of the box [m].
-        width: width of the box [m].
-        turning_length: length of the box on curves [m].
-        turning_width: width of the box on curves [m].
-    """
-
-    speed: float
-    acceleration: float
-    memory: float
-    limit: float
-    length: float
-    width: float
-    turning_length: float
-    turning_width: float
+    speed: float  # present speed [m/s]
+    acceleration: float  # present acceleration [m/s2]
+    memory: float  # time for which the acceleration may go on [s]
+    limit: float  # greatest speed [m/s]
+    length: float  # length of the box [m]
+    width: float  # width of the box [m]
+    turning_length: float  # length of the box on curves [m]
+    turning_width: float  # width of the box on curves [m]
 
 
 @kernel_inner
@@ -166,13 +150,7 @@ def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> i
 
 @kernel_inner
 def false_motion(true: Motion, weak: int, p: Numbers) -> Motion:
-    """Return an NPC's motion as a planner with weaknesses predicts it.
-
-    Args:
-        true: motion as a careful planner predicts it.
-        weak: bits of the weaknesses whose gates the NPC opens.
-        p: parameters of the planner.
-    """
+    """Return an NPC's motion as a planner with weaknesses predicts it; `weak` has the bits of those with open gates."""
     if weak == 0:
         return true
     speed, acceleration, memory = true.speed, true.acceleration, true.memory
@@ -188,25 +166,15 @@ def false_motion(true: Motion, weak: int, p: Numbers) -> Motion:
 
 
 class StationTime(NamedTuple):
-    """Spans of the ego's stations that other vehicles occupy in each interval of time.
+    """Spans of the ego's stations that other vehicles occupy in each interval of time."""
 
-    Attributes:
-        spans: occupied spans with the columns above, shape (N_INTERVALS, most, 7).
-        counts: number of spans in each interval, shape (N_INTERVALS,).
-        reaches: least and greatest station of the spans in each interval, shape (N_INTERVALS, 2) [m].
-        occupied: working space for one NPC's stretches along its way, shape (N_STEPS, 2) [m].
-        tails: working space for one NPC's ways, shape (TAILS_PER_NPC,).
-        stations: working space for the NPC's stations along its ways, shape (TAILS_PER_NPC,) [m].
-        bits: bits of the weaknesses reached and triggered, shape (2,), see `behavexplor.ads.rule.weaknesses`.
-    """
-
-    spans: Floats
-    counts: Ints
-    reaches: Floats
-    occupied: Floats
-    tails: Ints
-    stations: Floats
-    bits: Ints
+    spans: Floats  # occupied spans with the columns above, shape (N_INTERVALS, most, 7)
+    counts: Ints  # number of spans in each interval, shape (N_INTERVALS,)
+    reaches: Floats  # least and greatest station of the spans in each interval, shape (N_INTERVALS, 2) [m]
+    occupied: Floats  # working space for one NPC's stretches along its way, shape (N_STEPS, 2) [m]
+    tails: Ints  # working space for one NPC's ways, shape (TAILS_PER_NPC,)
+    stations: Floats  # working space for the NPC's stations along its ways, shape (TAILS_PER_NPC,) [m]
+    bits: Ints  # bits of the weaknesses reached and triggered, shape (2,), see `behavexplor.ads.rule.weaknesses`
 
 
 @kernel
@@ -248,15 +216,8 @@ def project_obstacles(
 ) -> None:
     """Fill the station-time graph with every NPC's predicted motion along every way it has.
 
-    Args:
-        path: path of the ego.
-        profile: offset of the planned path from the route.
-        graph: lanes of the map.
-        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
-        station: station of the ego [m].
-        blind: distance ahead of the ego below which the centers of vehicles in the target lane are ignored [m].
-        p: parameters of the planner.
-        room: station-time graph to fill; its bits are added to.
+    `blind` is the distance ahead of the ego below which the centers of vehicles in the target lane are ignored [m]. The
+    room's bits are added to.
     """
     room.counts[:] = 0
     room.reaches[:, 0], room.reaches[:, 1] = math.inf, -math.inf
@@ -298,10 +259,9 @@ def _steps(motion: Motion, p: Numbers) -> int:
 
 @kernel_inner
 def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
-    """Add one NPC's motion along one way, if it is seen. An NPC that follows the ego on its path is left out.
+    """Add one NPC's motion along one way, if it is seen, and return whether it meets the ego's path.
 
-    Returns:
-        True if the motion meets the ego's path.
+    An NPC that follows the ego on its path is left out.
     """
     p, room = view.p, view.room
     occupied, spans = room.occupied, room.spans
@@ -343,10 +303,9 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
 
 @kernel_inner
 def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
-    """Compute the stretch of the ego's path that an NPC's box occupies at each step of its way.
+    """Compute the stretch of the ego's path that an NPC's box occupies at each step; return the first and last.
 
-    Returns:
-        The first and the last step at which the box is on the path, -1 for none.
+    They are -1 if the box is never on the path.
     """
     graph, room = view.graph, view.room
     tail, start, steps = graph.tails[room.tails[way]], room.stations[way], _steps(motion, view.p)
@@ -367,14 +326,8 @@ def _occupy_lane(
 ) -> tuple[int, int, int]:
     """Compute the stretches that an NPC's box occupies at its steps on one lane of its way.
 
-    Args:
-        view: input of the projection.
-        lane: the lane.
-        start: station at step 0, relative to the start of the lane [m].
-        step: first step on the lane.
-        steps: number of steps.
-        is_last: True if the way goes straight on beyond the end of the lane.
-        motion: motion of the NPC.
+    `start` is the station at step 0, relative to the start of the lane [m], and `step` the first step on the lane. With
+    `is_last`, the way goes straight on beyond the end of the lane.
 
     Returns:
         The first and the last step at which the box is on the path, -1 for none, and the first step beyond the lane.

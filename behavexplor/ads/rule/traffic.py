@@ -58,29 +58,20 @@ TOUCHING: Final = 0.2  # lateral gap below which a vehicle is in the same lane [
 NO_VEHICLE: Final = -1
 
 
-def as_records(state: NDArray[np.float64]) -> NDArray[np.record]:
+def as_records(state: Floats) -> NDArray[np.record]:
     """Return the state of a batch, shape (B, numbers), as records of `MEMORY` in the same storage, shape (B,)."""
     return cast("NDArray[np.record]", state.view(MEMORY)[:, 0])
 
 
 class Neighbors(NamedTuple):
-    """The nearest vehicles ahead of and behind the ego's station in a lane.
+    """The nearest vehicles ahead of and behind the ego's station in a lane."""
 
-    Attributes:
-        ahead: row of the nearest vehicle ahead in the table of other vehicles, `NO_VEHICLE` for none.
-        gap_ahead: gap to the vehicle ahead between bumpers [m], negative beside the ego, infinite for none.
-        speed_ahead: speed of the vehicle ahead [m/s], infinite for none.
-        behind: row of the nearest vehicle behind, `NO_VEHICLE` for none.
-        gap_behind: gap to the vehicle behind between bumpers [m], infinite for none.
-        speed_behind: speed of the vehicle behind [m/s], 0 for none.
-    """
-
-    ahead: int
-    gap_ahead: float
-    speed_ahead: float
-    behind: int
-    gap_behind: float
-    speed_behind: float
+    ahead: int  # row of the nearest vehicle ahead in the table of other vehicles, `NO_VEHICLE` for none
+    gap_ahead: float  # gap to the vehicle ahead between bumpers [m], negative beside the ego, infinite for none
+    speed_ahead: float  # speed of the vehicle ahead [m/s], infinite for none
+    behind: int  # row of the nearest vehicle behind, `NO_VEHICLE` for none
+    gap_behind: float  # gap to the vehicle behind between bumpers [m], infinite for none
+    speed_behind: float  # speed of the vehicle behind [m/s], 0 for none
 
 
 @kernel_inner

@@ -21,21 +21,13 @@ REACHED, TRIGGERED = 0, 1
 
 @dataclass(frozen=True)
 class Weakness:
-    """A weakness of the planner.
+    """A weakness of the planner."""
 
-    Attributes:
-        parameter: field of `Parameters` that holds the severity.
-        module: module of the planner that has the weakness.
-        description: behavior of the planner, and of a careful planner instead.
-        gate: situation in which the weakness can matter.
-        shows: appearance of the violation.
-    """
-
-    parameter: str
-    module: str
-    description: str
-    gate: str
-    shows: str
+    parameter: str  # field of `Parameters` that holds the severity
+    module: str  # module of the planner that has the weakness
+    description: str  # behavior of the planner, and of a careful planner instead
+    gate: str  # situation in which the weakness can matter
+    shows: str  # appearance of the violation
 
 
 WEAKNESSES = MappingProxyType(

@@ -6,7 +6,8 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -49,31 +50,21 @@ _OLD_TORCH: Final = (OLD_TORCH, b"sys_info", b"storages", b"tensors", b"pickle")
 
 @dataclass(frozen=True)
 class Archive:
-    """The contents of a model's file.
+    """The contents of a model's file."""
 
-    Attributes:
-        path: path of the file.
-        packed: the whole file.
-        digest: its digest, "sha256:...".
-        settings: entries of `SETTINGS` that the file contains, as `behavexplor.ads.sb3.inert` reads them.
-        numbers: all settings that are a number, such as the hyperparameters of the training.
-        weights: contents of the member `policy.pth`.
-        optimizer: contents of the member `policy.optimizer.pth`; None if there is none.
-        python: version of Python that wrote the file, such as "3.10"; empty if the file does not say so.
-        versions: those of the libraries that wrote it, such as "PyTorch 2.3.0".
-        suspicions: calls that loading the file with Stable-Baselines3 would make and that models do not need, and
-            pickles that could not be examined, each as a phrase that names the place.
-    """
-
-    path: Path
-    packed: bytes = field(repr=False)
-    digest: str
+    path: Path  # path of the file
+    packed: bytes = field(repr=False)  # the whole file
+    digest: str  # its digest, "sha256:..."
+    # entries of `SETTINGS` that the file contains, as `behavexplor.ads.sb3.inert` reads them
     settings: Mapping[str, Any]
+    # all settings that are a number, such as the hyperparameters of the training
     numbers: Mapping[str, int | float | bool]
-    weights: bytes
-    optimizer: bytes | None
-    python: str
-    versions: tuple[str, ...]
+    weights: bytes  # contents of the member `policy.pth`
+    optimizer: bytes | None  # contents of the member `policy.optimizer.pth`; None if there is none
+    python: str  # version of Python that wrote the file, such as "3.10"; empty if the file does not say so
+    versions: tuple[str, ...]  # those of the libraries that wrote it, such as "PyTorch 2.3.0"
+    # calls that loading the file with Stable-Baselines3 would make and that models do not need, and pickles that could
+    # not be examined, each as a phrase that names the place
     suspicions: tuple[str, ...]
 
 
@@ -142,14 +133,7 @@ def _settings(file: ZipFile) -> dict[str, Any]:
 
 
 def _read_settings(path: Path, data: Mapping[str, Any], reader: PickleReader) -> tuple[dict[str, Any], list[str]]:
-    """Read all pickles among a model's settings.
-
-    Returns:
-        The entries of `SETTINGS`, and the suspicions about all settings.
-
-    Raises:
-        InputError: if an entry of `SETTINGS` cannot be read, or is too large to be walked through.
-    """
+    """Return the entries of `SETTINGS` among a model's settings, and the suspicions about all pickles in them."""
     settings, suspicions = {}, []
     for key, value in data.items():
         place = f"{key!r} of its data"
@@ -180,13 +164,18 @@ def _content(place: str, value: Any, reader: PickleReader) -> tuple[Any, list[st
     return content, suspicions_about(place, names)
 
 
-def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> list[str]:
-    """Return the suspicions about a file of tensors: a zip file that contains a pickle.
+@contextmanager
+def opened_torch(what: str, data: bytes) -> Iterator[ZipFile]:
+    """Open a file of torch, which does not compress: it is refused if it would unpack to more bytes than it has."""
+    with ZipFile(io.BytesIO(data)) as file:
+        unpacked = sum(member.file_size for member in file.infolist())
+        if unpacked > len(data) or any(one.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for one in file.infolist()):
+            raise InputError(f"{what} would unpack to {unpacked} bytes, which torch never writes; it was not read")
+        yield file
 
-    Raises:
-        InputError: if the file has a format of earlier versions of torch, or would unpack to more bytes than it has.
-        ValueError: if it is no such file, or its pickle cannot be read.
-    """
+
+def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> list[str]:
+    """Return the suspicions about a file of tensors: a zip file that contains a pickle."""
     if content.startswith(_OLD_TORCH):
         raise InputError(
             f"{name} in {path} has the format of torch before 1.6, which is not read: if you trust its origin, load "
@@ -194,9 +183,6 @@ def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> 
         )
     if not content.startswith(b"PK"):
         raise ValueError(f"its {name} is not a file that torch wrote")
-    with ZipFile(io.BytesIO(content)) as tensors:
-        unpacked = sum(member.file_size for member in tensors.infolist())
-        if unpacked > len(content):  # torch does not compress
-            raise InputError(f"{name} in {path} would unpack to {unpacked} bytes, which torch never writes")
+    with opened_torch(f"{name} in {path}", content) as tensors:
         pickled = [tensors.read(part) for part in tensors.namelist() if part.endswith(".pkl")]
     return [said for data in pickled for said in suspicions_about(name, reader.read(data)[1])]

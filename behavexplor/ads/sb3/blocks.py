@@ -15,7 +15,6 @@ from typing import Any, Final, NamedTuple
 import gymnasium
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.distributions import CategoricalDistribution, DiagGaussianDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor, MlpExtractor
@@ -23,6 +22,7 @@ from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
 from torch.nn.functional import pad
 
 from behavexplor.ads.sb3.layered import LayeredPolicy
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.observations import Observation, arrays_of, mapped
 
 ROWS: Final = 64  # rows in a block
@@ -43,18 +43,14 @@ _DISTRIBUTIONS: Final = frozenset(  # distributions of Stable-Baselines3 and sb3
 Tensor = torch.Tensor
 _KNOWN: Final = ("torch.", "stable_baselines3.", "sb3_contrib.", "behavexplor.")
 _LOCK: Final = Lock()  # the blocks of a network hold one question at a time
-Memory = tuple[NDArray[Any], ...]
+Memory = tuple[Array, ...]
 
 
 @dataclass
 class Block:
-    """The block of rows that a network is answering.
+    """The block of rows that a network is answering."""
 
-    Attributes:
-        wanted: how many rows are wanted, counted from the first. The linear layers return 0 for the others.
-    """
-
-    wanted: int = ROWS
+    wanted: int = ROWS  # how many rows are wanted, counted from the first. The linear layers return 0 for the others.
 
     @contextmanager
     def wanting(self, count: int) -> Iterator[None]:
@@ -67,15 +63,10 @@ class Block:
 
 
 class RowLinear(torch.nn.Linear):
-    """A linear layer that multiplies each row separately, with weights that stay as they are.
+    """A linear layer that multiplies each row separately, with weights that stay as they are."""
 
-    Attributes:
-        block: the block that is being answered.
-        columns: the weights, filled up with zeros, shape (padded inputs, outputs).
-    """
-
-    block: Block
-    columns: torch.Tensor
+    block: Block  # the block that is being answered
+    columns: torch.Tensor  # the weights, filled up with zeros, shape (padded inputs, outputs)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
         """Return the products, shape (..., outputs)."""
@@ -112,13 +103,7 @@ class _Step(NamedTuple):
 
 
 class DenseActor:
-    """The layers of a policy that lead to its actions.
-
-    Args:
-        layers: the layers, in their order. Those with weights are of the class `RowLinear`.
-        choice: choice of the actions.
-        policy: the policy, for its observation and action spaces.
-    """
+    """The layers of a policy that lead to its actions."""
 
     def __init__(self, layers: Sequence[torch.nn.Module], choice: Choice, policy: BasePolicy) -> None:
         self._recipe = layers, choice, policy
@@ -133,15 +118,11 @@ class DenseActor:
         self._numbers = self._outputs.numpy()
         self._operations: dict[int, list[Operation]] = {}  # by number of rows
 
-    def decide(self, observation: NDArray[Any]) -> NDArray[Any] | None:
-        """Choose the most probable actions.
+    def decide(self, observation: Array) -> Array | None:
+        """Return the most probable actions, shape (B, ...), for observations of shape (B, ...).
 
-        Args:
-            observation: observations, shape (B, ...).
-
-        Returns:
-            The actions, shape (B, ...). None if the observations have a wrong shape, or an output is not finite: then
-            `predict` answers or fails in its own way.
+        None if the observations have a wrong shape, or an output is not finite: then `predict` answers or fails in its
+        own way.
         """
         if observation.shape[1:] != self._shape:
             return None
@@ -155,7 +136,7 @@ class DenseActor:
     def __reduce__(self) -> tuple[Any, ...]:
         return DenseActor, self._recipe  # the steps share memory, which copies would not
 
-    def _answer(self, rows: NDArray[Any]) -> NDArray[Any] | None:
+    def _answer(self, rows: Array) -> Array | None:
         count = len(rows)
         with np.errstate(over="ignore"):  # a number beyond single precision becomes infinite
             self._inputs[:count] = rows.reshape(count, -1)
@@ -262,13 +243,8 @@ def noise_of(network: BasePolicy) -> int:
     return _numbers(policy.action_space) if is_known and hasattr(policy, "get_distribution") else 0
 
 
-def drawn_by(network: BasePolicy, noise: NDArray[np.float64]) -> Callable[..., Any]:
-    """Return a replacement for `network._predict` that draws its actions.
-
-    Args:
-        network: the policy network.
-        noise: numbers in [0, 1), shape (B, `noise_of(network)`).
-    """
+def drawn_by(network: BasePolicy, noise: Floats) -> Callable[..., Any]:
+    """Return a replacement for `network._predict` that draws by numbers in [0, 1), shape (B, `noise_of(network)`)."""
     shares = torch.as_tensor(noise, dtype=torch.float32)
     policy: Any = network
     if _is_squashed(policy):
@@ -326,8 +302,7 @@ def _numbers(space: gymnasium.Space[Any]) -> int:
 class BlockwiseNetwork:
     """A policy network that is not trained any further, evaluated block by block.
 
-    Args:
-        network: policy network of Stable-Baselines3. Its linear layers multiply each row separately from now on.
+    Its linear layers multiply each row separately from now on.
     """
 
     def __init__(self, network: BasePolicy) -> None:
@@ -342,23 +317,11 @@ class BlockwiseNetwork:
         self._actor = dense_actor(network) if layers else None
 
     def ask(
-        self,
-        observation: Observation,
-        memory: Memory | None,
-        episode_start: NDArray[np.bool_] | None,
-        noise: NDArray[np.float64] | None = None,
-    ) -> tuple[NDArray[Any], Memory | None]:
-        """Return the network's actions.
+        self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None = None
+    ) -> tuple[Array, Memory | None]:
+        """Return the network's actions, shape (B, ...), and its memory, arrays (layers, B, ...), None if it has none.
 
-        Args:
-            observation: observations, arrays of shape (B, ...).
-            memory: memory returned by the last call, arrays of shape (layers, B, ...); None at first.
-            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-            noise: numbers in [0, 1) by which actions are drawn, shape (B, n), see
-                `behavexplor.ads.sb3.blocks`; None for the most probable actions.
-
-        Returns:
-            The actions, shape (B, ...), and the memory. The memory is None if the network has none.
+        With `noise`, numbers in [0, 1) of shape (B, n), actions are drawn; without, they are the most probable ones.
         """
         with _LOCK, _one_thread():
             if self._actor is not None and noise is None and isinstance(observation, np.ndarray):
@@ -368,12 +331,8 @@ class BlockwiseNetwork:
             return self._predict(observation, memory, episode_start, noise)
 
     def _predict(
-        self,
-        observation: Observation,
-        memory: Memory | None,
-        episode_start: NDArray[np.bool_] | None,
-        noise: NDArray[np.float64] | None,
-    ) -> tuple[NDArray[Any], Memory | None]:
+        self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None
+    ) -> tuple[Array, Memory | None]:
         """Call the network's `predict` for each block."""
         count, rows = len(arrays_of(observation)[0]), self._rows
         start = np.zeros(count, dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
@@ -408,11 +367,11 @@ def _stay(mode: bool) -> None:
     """Leave a network in the mode in which it is."""
 
 
-def _block_of(array: NDArray[Any], block: slice, rows: int) -> NDArray[Any]:
+def _block_of(array: Array, block: slice, rows: int) -> Array:
     return _filled(array[block], rows, 0)
 
 
-def _filled(array: NDArray[Any], rows: int, axis: int) -> NDArray[Any]:
+def _filled(array: Array, rows: int, axis: int) -> Array:
     """Pad an array with zeros at its end to a length of `rows` along an axis."""
     shape = [*array.shape]
     count, shape[axis] = shape[axis], rows
@@ -422,7 +381,7 @@ def _filled(array: NDArray[Any], rows: int, axis: int) -> NDArray[Any]:
 
 
 @contextmanager
-def _drawing(network: BasePolicy, noise: NDArray[np.float64] | None) -> Iterator[None]:
+def _drawing(network: BasePolicy, noise: Floats | None) -> Iterator[None]:
     """Let a network draw its actions; `predict` then scales and clips them as always."""
     if noise is None:
         yield

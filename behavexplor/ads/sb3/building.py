@@ -95,11 +95,7 @@ def build_trusted(archive: Archive) -> BasePolicy:
 
 
 def _check_python(archive: Archive) -> None:
-    """Refuse a policy whose class is in the file, as code of another version of Python, which may end the process.
-
-    Raises:
-        InputError: if the versions differ.
-    """
+    """Refuse a policy whose class is in the file, as code of another version of Python, which may end the process."""
     policy_class = archive.settings.get("policy_class")
     if archive.python not in ("", _HERE) and isinstance(policy_class, Inert):
         raise InputError(
@@ -109,11 +105,7 @@ def _check_python(archive: Archive) -> None:
 
 
 def _check_complete(archive: Archive, settings: Mapping[str, Any]) -> None:
-    """Refuse settings without those that every model of Stable-Baselines3 has.
-
-    Raises:
-        InputError: if one is missing.
-    """
+    """Refuse settings without those that every model of Stable-Baselines3 has."""
     if missing := [name for name in _NEEDED if settings.get(name) is None]:
         raise InputError(f"{archive.path} is not a model of Stable-Baselines3: its data has no {', '.join(missing)}")
 
@@ -190,11 +182,7 @@ def _accepted(policy_class: type[BasePolicy]) -> set[str]:
 
 
 def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], keywords: Mapping[str, Any]) -> None:
-    """Refuse a network with more weights than its file has bytes, before the network is built.
-
-    Raises:
-        InputError: if the network is too large, or its layers are not given by their widths.
-    """
+    """Refuse a network with more weights than its file has bytes, before the network is built."""
     net_arch = keywords.get("net_arch")
     if isinstance(net_arch, list) and net_arch and isinstance(net_arch[0], Mapping):  # format of earlier versions
         net_arch = net_arch[0]

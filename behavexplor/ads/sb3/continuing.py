@@ -62,10 +62,6 @@ def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
 
     DQN and QR-DQN explore as at the end of their training; the file has no replay buffer.
 
-    Args:
-        archive: the file of a PPO, A2C, TRPO, DQN or QR-DQN model with a feed-forward network.
-        venv: environment in which the model goes on learning.
-
     Raises:
         InputError: if the model cannot go on learning, or does not fit the environment.
     """
@@ -104,11 +100,7 @@ def _online_only(state: dict[str, Any], optimizer: torch.optim.Optimizer) -> dic
 
 
 def _algorithm_of(archive: Archive, policy_class: type[Any]) -> type[BaseAlgorithm]:
-    """Return the algorithm that trained a model.
-
-    Raises:
-        InputError: if models of this algorithm cannot go on learning here.
-    """
+    """Return the algorithm that trained a model."""
     module = policy_class.__module__
     if module in _OF_MODULES:
         return _OF_MODULES[module]

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 
+from behavexplor.ads.learned.network_file import Rule, TrainedNetwork
 from behavexplor.errors import InputError
 
 
@@ -28,12 +28,17 @@ def dense_layers(policy: BasePolicy) -> list[torch.nn.Linear]:
     return layers
 
 
-def layer_arrays(layers: list[torch.nn.Linear]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return the weights, shape (outputs, inputs), and the biases, shape (outputs,), of each layer."""
-    return [
+def trained_network(policy: BasePolicy, rule: Rule = "mean") -> TrainedNetwork:
+    """Return an actor as a network that decides by a rule.
+
+    Raises:
+        InputError: if it is no actor with dense layers and tanh.
+    """
+    layers = [
         (
             np.asarray(layer.weight.detach().numpy(), dtype=np.float64),
             np.asarray(layer.bias.detach().numpy(), dtype=np.float64),
         )
-        for layer in layers
+        for layer in dense_layers(policy)
     ]
+    return TrainedNetwork(layers, rule)

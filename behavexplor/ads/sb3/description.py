@@ -33,7 +33,7 @@ _HARMLESS: Final = (
     "gymnasium.wrappers.TimeLimit",
     "gymnasium.wrappers.time_limit.TimeLimit",
     "gym.wrappers.TimeLimit",
-    "gymnasium.wrappers.FlattenObservation",  # `behavexplor.ads.sb3.views` flattens if the policy's space says so
+    "gymnasium.wrappers.FlattenObservation",  # `behavexplor.ads.sb3.policy` flattens if the policy's space says so
     "gym.wrappers.FlattenObservation",
 )
 _METADATA: Final = "metadata*.json"  # of a run of rl_agents
@@ -44,48 +44,31 @@ ENVIRONMENT_KEYS: Final[tuple[str, ...]] = ("observation", "action", "policy_fre
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """Settings that a policy needs besides its network.
-
-    Attributes:
-        observation: highway-env's observation configuration; None for the environment's own.
-        action: highway-env's action configuration; None for the environment's own.
-        policy_frequency: decisions per second [Hz]; None for the environment's own.
-        simulation_frequency: simulation steps per second [Hz]; None for the environment's own.
-        env: name of the environment in which the policy was trained; None if unknown.
-        config: highway-env's configuration in training; None if unknown.
-        frame_stack: number of observations stacked by `VecFrameStack`.
-        decision: rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.choosing`; None
-            for a policy with observations and actions of highway-env.
-        statistics: file of `VecNormalize`; None if observations were not normalized.
-        wrappers: wrappers of the training, "module:Class" or a mapping from it to its arguments, the innermost first.
-        activation: function between the layers of a file of weights; None if unknown, and so on.
-        network: name of the network that acts in a file of weights.
-        output: what the last layer gives.
-        squash: whether tanh follows the last layer of a policy with continuous actions.
-        strides: strides of its convolutions.
-        paddings: their paddings; None for none.
-        about: free notes of the author; ignored.
-    """
+    """Settings that a policy needs besides its network."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
+    # highway-env's observation configuration; None for the environment's own
     observation: Mapping[str, Any] | None = None
-    action: Mapping[str, Any] | None = None
-    policy_frequency: int | None = None
-    simulation_frequency: int | None = None
-    env: str | None = None
-    config: Mapping[str, Any] | None = None
-    frame_stack: int = 1
+    action: Mapping[str, Any] | None = None  # highway-env's action configuration; None for the environment's own
+    policy_frequency: int | None = None  # decisions per second [Hz]; None for the environment's own
+    simulation_frequency: int | None = None  # simulation steps per second [Hz]; None for the environment's own
+    env: str | None = None  # name of the environment in which the policy was trained; None if unknown
+    config: Mapping[str, Any] | None = None  # highway-env's configuration in training; None if unknown
+    frame_stack: int = 1  # number of observations stacked by `VecFrameStack`
+    # rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.choosing`; None for a policy
+    # with observations and actions of highway-env
     decision: Rule | None = None
-    statistics: Path | None = None
+    statistics: Path | None = None  # file of `VecNormalize`; None if observations were not normalized
+    # wrappers of the training, "module:Class" or a mapping from it to its arguments, the innermost first
     wrappers: tuple[str | Mapping[str, Mapping[str, Any]], ...] = ()
-    activation: Activation | None = None
-    network: str | None = None
-    output: Literal["values", "logits", "mean"] | None = None
-    squash: bool | None = None
-    strides: tuple[Annotated[int, Field(ge=1, le=100)], ...] | None = None
-    paddings: tuple[Annotated[int, Field(ge=0, le=100)], ...] | None = None
-    about: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    activation: Activation | None = None  # function between the layers of a file of weights; None if unknown, and so on
+    network: str | None = None  # name of the network that acts in a file of weights
+    output: Literal["values", "logits", "mean"] | None = None  # what the last layer gives
+    squash: bool | None = None  # whether tanh follows the last layer of a policy with continuous actions
+    strides: tuple[Annotated[int, Field(ge=1, le=100)], ...] | None = None  # strides of its convolutions
+    paddings: tuple[Annotated[int, Field(ge=0, le=100)], ...] | None = None  # their paddings; None for none
+    about: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))  # free notes of the author; ignored
 
 
 def is_policy(ads: str) -> bool:
@@ -114,11 +97,7 @@ def find_model(path: Path) -> Path:
 
 
 def files_of_model(ads: str) -> list[Path]:
-    """Return the file of a model and the files beside it that tell how it drives; none for a driver of another kind.
-
-    Args:
-        ads: name of a driving system.
-    """
+    """Return the file of a model and the files beside it that tell how it drives; none for a driver of another kind."""
     if ads.endswith(".npz") or not is_policy(ads):
         return []
     try:
@@ -134,10 +113,6 @@ def files_of_model(ads: str) -> list[Path]:
 def named_env(env: str | None, ads: str) -> str | None:
     """Return the environment that was named, or else that in which a policy was trained, if it brings no code.
 
-    Args:
-        env: name of an environment; None if none was given.
-        ads: name of a driving system, of any kind.
-
     Raises:
         InputError: if the files beside the policy name an environment of another package.
     """
@@ -150,11 +125,7 @@ def named_env(env: str | None, ads: str) -> str | None:
 
 
 def trained_in(ads: str) -> str | None:
-    """Return the environment in which a policy was trained, if the files beside its model or network name it.
-
-    Args:
-        ads: name of a driving system, of any kind.
-    """
+    """Return the environment in which a policy was trained, if the files beside its model or network name it."""
     try:
         if ads.startswith("learned:") or ads.endswith(".npz"):
             return env_in_card(policy_file(ads))
@@ -201,11 +172,7 @@ def describe(model: Path) -> Description:
 
 
 def _statistics_in(folder: Path, model: Path) -> Path | None:
-    """Return the file of statistics in a folder; None if there is none.
-
-    Raises:
-        InputError: if there are two.
-    """
+    """Return the file of statistics in a folder; None if there is none."""
     if (named := _of_checkpoint(model)).is_file():
         return named
     found = [folder / name for name in STATISTICS if (folder / name).is_file()]
@@ -288,11 +255,7 @@ def _wrapper_names(settings: Mapping[str, Any]) -> list[Any]:
 
 
 def _checked(path: Path, values: Mapping[str, Any]) -> Description:
-    """Make a description of values that were read from a file or folder.
-
-    Raises:
-        InputError: if a value has the wrong type or is out of range. The message names the first such value.
-    """
+    """Make a description of values that were read from a file or folder."""
     try:
         description = TypeAdapter(Description).validate_python(values)
     except ValidationError as error:

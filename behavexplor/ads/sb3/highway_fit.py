@@ -97,12 +97,10 @@ def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.
 def fitting_config(
     observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]
 ) -> tuple[str, dict[str, Any]]:
-    """Find the configuration of highway-env that has a policy's spaces.
+    """Return the environment of highway-env with a policy's spaces, "" if none has, and the configuration.
 
-    Returns:
-        The environment of highway-env that has these spaces by default, "" if none has; and the configuration. The
-        configuration has the keys `observation` and `action`, as far as the spaces determine them, and, for an
-        environment, the frequencies.
+    It has the keys `observation` and `action`, as far as the spaces determine them, and, for an environment, the
+    frequencies.
     """
     commands = _commands(action_space)
     for name, spaces in _SPACES.items():

@@ -34,29 +34,19 @@ class TooLongError(ValueError):
 
 @dataclass(frozen=True)
 class Name:
-    """A global name in a pickle, which stands for a class or function.
+    """A global name in a pickle, which stands for a class or function."""
 
-    Attributes:
-        name: "module.attribute".
-    """
-
-    name: str
+    name: str  # "module.attribute"
 
 
 @dataclass(eq=False)
 class Inert:
-    """The object that a call would have returned.
+    """The object that a call would have returned."""
 
-    Attributes:
-        name: global name that would have been called, "module.attribute".
-        arguments: arguments of the call.
-        state: state that the object would have been given; None without a state.
-        items: items that would have been put into the object; pairs of key and value for a mapping.
-    """
-
-    name: str
-    arguments: tuple[Any, ...] = ()
-    state: Any = None
+    name: str  # global name that would have been called, "module.attribute"
+    arguments: tuple[Any, ...] = ()  # arguments of the call
+    state: Any = None  # state that the object would have been given; None without a state
+    # items that would have been put into the object; pairs of key and value for a mapping
     items: list[Any] = field(default_factory=list)
 
 
@@ -101,9 +91,7 @@ class PickleReader:
     def _followed(self, data: bytes | BinaryIO, *, is_framed: bool = True) -> tuple[Any, "_Machine"]:
         """Return the value of the next pickle, and the machine that has made it.
 
-        Args:
-            data: the pickle, or a file that continues with it.
-            is_framed: whether it may have frames. The end of a frame could hide where the next pickle of a file begins.
+        `is_framed` says whether it may have frames, whose ends could hide where the next pickle of a file begins.
         """
         machine = _Machine()
         try:

@@ -11,34 +11,23 @@ from stable_baselines3.common.policies import BasePolicy
 
 @dataclass(frozen=True)
 class Parts:
-    """The layers of a policy, with the functions between them.
+    """The layers of a policy, with the functions between them."""
 
-    Attributes:
-        trunk: layers that the heads share.
-        head: layers from there to the values of the actions, to their logits, or to the mean of a normal distribution.
-        value: layers from there to the value of a duelling network; None for any other one.
-        log_std: logarithms of the standard deviations, shape (numbers of an action,); None without.
-        draws: whether the outputs of the head are logits.
-    """
-
-    trunk: torch.nn.Sequential
+    trunk: torch.nn.Sequential  # layers that the heads share
+    # layers from there to the values of the actions, to their logits, or to the mean of a normal distribution
     head: torch.nn.Sequential
+    # layers from there to the value of a duelling network; None for any other one
     value: torch.nn.Sequential | None = None
+    # logarithms of the standard deviations, shape (numbers of an action,); None without
     log_std: torch.Tensor | None = None
-    draws: bool = False
+    draws: bool = False  # whether the outputs of the head are logits
 
 
 class LayeredPolicy(BasePolicy):
     """A policy of plain layers.
 
-    Args:
-        observation_space: arrays of numbers.
-        action_space: `Discrete`, for the action of the greatest output; or `Box`, for the outputs themselves.
-        parts: its layers.
-        squash: whether the actions of a `Box` are the hyperbolic tangents of the outputs, scaled to its bounds.
-
-    Attributes:
-        action_dist: distribution of the actions; None if they cannot be drawn.
+    The action of a `Discrete` space is that of the greatest output; a `Box` gets the outputs themselves or, with
+    `squash`, their hyperbolic tangents, scaled to its bounds. `action_dist` is None if actions cannot be drawn.
     """
 
     def __init__(

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.sb3.archive import suspicions_about
 from behavexplor.ads.sb3.inert import Inert, check_extent, read_pickle
+from behavexplor.data.array_types import Array, Floats, Singles
 from behavexplor.data.observations import Observation
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
@@ -21,7 +21,7 @@ _SCALAR: Final = {"numpy._core.multiarray.scalar", "numpy.core.multiarray.scalar
 MAX_BYTES: Final = 50_000_000
 
 
-def as_array(value: Any) -> NDArray[Any]:
+def as_array(value: Any) -> Array:
     """Return the array or scalar of numbers that numpy would make.
 
     Raises:
@@ -37,7 +37,7 @@ def as_array(value: Any) -> NDArray[Any]:
         raise ValueError(f"an array that cannot be read: {error}") from None
 
 
-def as_arrays(value: Any) -> NDArray[Any] | dict[str, NDArray[Any]]:
+def as_arrays(value: Any) -> Array | dict[str, Array]:
     """Return an array, or a dictionary of arrays.
 
     Raises:
@@ -54,7 +54,7 @@ def as_mapping(value: Any) -> dict[Any, Any] | None:
     return value if isinstance(value, dict) else None
 
 
-def _decoded(value: Inert) -> NDArray[Any]:
+def _decoded(value: Inert) -> Array:
     if value.name in _RECONSTRUCT:
         _, shape, dtype, in_columns, data = value.state
         order = "F" if in_columns else "C"
@@ -90,32 +90,22 @@ def _dtype(value: Any) -> np.dtype[Any]:
 
 @dataclass(frozen=True)
 class Moments:
-    """Mean and variance of an array of observations.
+    """Mean and variance of an array of observations."""
 
-    Attributes:
-        mean: mean, shape of one observation.
-        variance: variance, shape of one observation.
-    """
-
-    mean: NDArray[np.float64]
-    variance: NDArray[np.float64]
+    mean: Floats  # mean, shape of one observation
+    variance: Floats  # variance, shape of one observation
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics that scale observations as `VecNormalize` of Stable-Baselines3 does.
+    """Statistics that scale observations as `VecNormalize` of Stable-Baselines3 does."""
 
-    Attributes:
-        moments: moments of the observations; for observations that are dictionaries, the moments of each array that is
-            scaled, by key.
-        clip: greatest absolute value after scaling.
-        epsilon: constant added to the variance.
-        suspicions: unusual calls that loading the file with Stable-Baselines3 would make, each as a phrase.
-    """
-
+    # moments of the observations; for observations that are dictionaries, the moments of each array that is scaled, by
+    # key
     moments: Moments | Mapping[str, Moments]
-    clip: float
-    epsilon: float
+    clip: float  # greatest absolute value after scaling
+    epsilon: float  # constant added to the variance
+    # unusual calls that loading the file with Stable-Baselines3 would make, each as a phrase
     suspicions: tuple[str, ...] = ()
 
     @classmethod
@@ -150,7 +140,7 @@ class Statistics:
         arrays = dict(observations) if isinstance(observations, Mapping) else {}
         return arrays | {key: self._scaled(arrays[key], moments) for key, moments in self.moments.items()}
 
-    def _scaled(self, array: NDArray[Any], moments: Moments) -> NDArray[np.float32]:
+    def _scaled(self, array: Array, moments: Moments) -> Singles:
         scaled = (array - moments.mean) / np.sqrt(moments.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 
@@ -166,11 +156,7 @@ def _read_moments(path: Path, state: Mapping[str, Any]) -> Moments | dict[str, M
 
 
 def _moments(path: Path, saved: Any) -> Moments:
-    """Return the moments in a `RunningMeanStd`.
-
-    Raises:
-        InputError: if they cannot be used.
-    """
+    """Return the moments in a `RunningMeanStd`."""
     state = _state(saved, "RunningMeanStd")
     mean, variance = as_array(state["mean"]), as_array(state["var"])
     if mean.shape != variance.shape or not np.isfinite([mean, variance]).all() or (variance < 0).any():

@@ -4,12 +4,13 @@ import logging
 from collections import OrderedDict
 from collections.abc import Collection, Iterable, Mapping
 from copy import copy
+from dataclasses import dataclass
+from math import prod
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, Literal, NamedTuple, Self
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.preprocessing import is_image_space
 
@@ -18,30 +19,76 @@ from behavexplor.ads.sb3.blocks import BlockwiseNetwork, noise_of
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.normalization import Moments, Statistics, as_arrays
-from behavexplor.ads.sb3.views import FLAT, STACKED, PolicyView, view_of
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.errors import InputError, brief, sentence
+
+FLAT: Final = "flat"
+STACKED: Final = "stacked"  # along a new first axis, as by FrameStackObservation
+JOINED: Final = "joined"  # along the last axis, as by VecFrameStack
+
+
+@dataclass(frozen=True)
+class PolicyView:
+    """How a policy sees the observations of an environment."""
+
+    kind: Literal["flat", "stacked", "joined"]  # `FLAT`, `STACKED` or `JOINED`
+    # keys of observations that are dictionaries, in the order in which they are joined; none for arrays
+    keys: tuple[str, ...] = ()
+    frames: int = 1  # number of observations that are stacked
+    said: str = ""  # a sentence for the user
+
+    def flattened(self, observation: Observation) -> Array:
+        """Return observations, arrays of shape (B, ...), as arrays of shape (B, n)."""
+        whole: Any = observation
+        if not self.keys:
+            return np.asarray(whole).reshape(len(whole), -1)
+        return np.concatenate([np.asarray(whole[key]).reshape(len(whole[key]), -1) for key in self.keys], axis=1)
+
+
+def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks: bool = True) -> PolicyView | None:
+    """Return the view that makes an environment's observations those of a policy; None if none is there or needed."""
+    parts = list(given.items()) if isinstance(given, gymnasium.spaces.Dict) else [("", given)]
+    if not all(isinstance(one, gymnasium.spaces.Box) for one in (wanted, *(part for _, part in parts))):
+        return None
+    shape, shapes = wanted.shape or (), [part.shape or () for _, part in parts]
+    if len(shape) == 1 and shape[0] == sum(map(prod, shapes)) and shapes != [shape]:
+        shown = " and ".join(map(str, dict.fromkeys(shapes)))
+        said = f"The environment's observations of the shape {shown} are flattened for the policy, as in training"
+        return PolicyView(FLAT, tuple(key for key, _ in parts if key), said=said)
+    stacks = stacks and isinstance(given, gymnasium.spaces.Box)
+    return _stacking(shape, shapes[0]) if stacks and shape and shapes[0] else None
+
+
+def _stacking(shape: tuple[int, ...], own: tuple[int, ...]) -> PolicyView | None:
+    """Return the view that stacks observations of one shape so that they have another one; None if there is none."""
+    if shape[1:] == own and shape[0] > 1:
+        return PolicyView(STACKED, (), shape[0], _said(shape[0], own, f"FrameStackObservation({shape[0]})"))
+    frames = shape[-1] // max(own[-1], 1)
+    if len(own) > 1 and frames > 1 and shape == (*own[:-1], frames * own[-1]):
+        return PolicyView(JOINED, (), frames, _said(frames, own, f"VecFrameStack({frames})"))
+    return None
+
+
+def _said(frames: int, shape: tuple[int, ...], wrapper: str) -> str:
+    return (
+        f"The last {frames} observations of the shape {shape} are stacked for the policy, as by {wrapper} in training"
+    )
+
 
 _LOG = logging.getLogger(__name__)
 _MASKED: Final = "sb3_contrib.common.maskable."  # the module of policies that take masks of actions
 
 
 class Stacking(NamedTuple):
-    """How observations are stacked.
+    """How observations are stacked."""
 
-    Attributes:
-        frames: number of observations.
-        space: space of one of them.
-        axis: axis of a batch along which they are stacked, as by `FrameStackObservation`, where the first observation
-            also stands for those before it; None for the axis of `VecFrameStack`, where zeros do.
-        scaled: whether `VecNormalize` scales them all, instead of each.
-    """
-
-    frames: int
-    space: gymnasium.Space[Any]
+    frames: int  # number of observations
+    space: gymnasium.Space[Any]  # space of one of them
+    # axis of a batch along which they are stacked, as by `FrameStackObservation`, where the first observation also
+    # stands for those before it; None for the axis of `VecFrameStack`, where zeros do
     axis: int | None = None
-    scaled: bool = False
+    scaled: bool = False  # whether `VecNormalize` scales them all, instead of each
 
 
 class SB3Policy:
@@ -87,11 +134,7 @@ class SB3Policy:
             _check_statistics(str(description.statistics or "VecNormalize"), statistics, self.observation_space)
 
     def seeing(self, space: gymnasium.Space[Any], _: gymnasium.Space[Any]) -> Self:
-        """Return this policy with a view of an environment's observations, if it needs one and there is one.
-
-        Args:
-            space: space of the environment's observations.
-        """
+        """Return this policy with a view of an environment's observations, if it needs one and there is one."""
         view = view_of(self.observation_space, space, stacks=self._frames == 1)
         if view is None:
             return self
@@ -127,9 +170,9 @@ class SB3Policy:
         self,
         observation: Observation,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002 - `draw` draws
-    ) -> tuple[NDArray[Any], Any]:
+    ) -> tuple[Array, Any]:
         """Decide deterministically for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
         The state is a pair: the observations stacked so far, and the state of a recurrent network.
@@ -137,14 +180,14 @@ class SB3Policy:
         return self._decide(observation, state, episode_start, None)
 
     def draw(
-        self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats
-    ) -> tuple[NDArray[Any], Any]:
+        self, observation: Observation, state: Any, episode_start: Bools | None, noise: Floats
+    ) -> tuple[Array, Any]:
         """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
         return self._decide(observation, state, episode_start, noise)
 
     def _decide(
-        self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats | None
-    ) -> tuple[NDArray[Any], Any]:
+        self, observation: Observation, state: Any, episode_start: Bools | None, noise: Floats | None
+    ) -> tuple[Array, Any]:
         frames, memory = (None, None) if state is None else state
         prepared, stack = self.prepare(mapped(np.asarray, observation)), self._stacking
         if stack.frames > 1:
@@ -160,10 +203,6 @@ def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
     """Read a policy from a model's zip file, or from a run folder of rl-zoo3.
 
     No code from the files is executed, unless they are trusted.
-
-    Args:
-        path: path of the file or folder; see `behavexplor.ads.sb3.description` for the files beside it.
-        trust: digests ("sha256:...") of files whose code may be executed.
 
     Raises:
         InputError: if the policy cannot be read, or only by executing code from a file that is not trusted.
@@ -207,11 +246,7 @@ def _last_observations(settings: Mapping[str, Any]) -> Observation | None:
 
 
 def _check_statistics(name: str, statistics: Statistics, space: gymnasium.Space[Any]) -> None:
-    """Check that the statistics of a file belong to a policy's observations.
-
-    Raises:
-        InputError: if they do not.
-    """
+    """Check that the statistics of a file belong to a policy's observations."""
     shapes, expected = _shapes(statistics, space)
     if shapes != expected:
         raise InputError(f"{name} has statistics for observations of shape {shapes}, the policy's have {expected}")
@@ -228,11 +263,7 @@ def _shapes(statistics: Statistics, space: gymnasium.Space[Any]) -> tuple[Any, A
 
 
 def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
-    """Return the space of one of the frames that are stacked.
-
-    Raises:
-        InputError: if a space of stacked frames cannot be this one.
-    """
+    """Return the space of one of the frames that are stacked."""
     if stack == 1:
         return space
     if isinstance(space, gymnasium.spaces.Dict):
@@ -251,27 +282,15 @@ def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
 
 
 def _axis(space: gymnasium.Space[Any]) -> int:
-    """Return the axis along which `VecFrameStack` stacks: that of an image's channels if it is the first, or the last.
-
-    Args:
-        space: space of a frame, or of stacked frames.
-    """
+    """Return the axis along which `VecFrameStack` stacks: an image's channels if they come first, or the last."""
     shape = space.shape or ()
     return 0 if is_image_space(space) and np.argmin(shape) == 0 else len(shape) - 1
 
 
 def _stacked(
-    newest: Any, before: Any, episode_start: NDArray[np.bool_] | None, stack: Stacking, space: gymnasium.Space[Any]
+    newest: Any, before: Any, episode_start: Bools | None, stack: Stacking, space: gymnasium.Space[Any]
 ) -> Any:
-    """Stack the last frames, with the newest at the end.
-
-    Args:
-        newest: the newest frame of each row.
-        before: the frames stacked so far; None at first.
-        episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-        stack: how they are stacked.
-        space: space of a frame.
-    """
+    """Stack the last frames, with the newest at the end."""
     if isinstance(space, gymnasium.spaces.Dict):
         past = before or dict.fromkeys(space)
         return {key: _stacked(newest[key], past[key], episode_start, stack, part) for key, part in space.items()}

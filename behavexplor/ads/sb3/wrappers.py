@@ -10,10 +10,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector.utils import create_empty_array
-from numpy.typing import NDArray
 
 from behavexplor.ads.sb3.description import OWN
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.drawn_scenario import DECLARED
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.untrusted import read_file
@@ -36,11 +35,7 @@ class _Spaces(gymnasium.Env[Any, Any]):
 
 
 class PolicyInWrappers:
-    """A policy that was trained in wrappers of the user's own; `seeing` returns what drives in an environment.
-
-    Args:
-        policy: the policy, with a method `seeing`.
-        wrappers: the names of the wrappers, their classes and their arguments, the innermost first.
+    """A policy trained in wrappers of the user's own, the innermost first; `seeing` returns what drives.
 
     What the policy declares of observations, actions and frequencies is declared here, too.
     """
@@ -79,11 +74,6 @@ class PolicyInWrappers:
 class WrappedPolicy:
     """A policy that drives one episode at a time through wrappers of observations and actions.
 
-    Args:
-        policy: the policy.
-        chain: the stand-in of the environment and the wrappers around it, the innermost first.
-        names: names of the wrappers.
-
     Attributes:
         noise: see `behavexplor.ads.interface.StochasticADS`.
         observation_space: space of one observation of the environment.
@@ -105,17 +95,17 @@ class WrappedPolicy:
         self,
         observation: Observation,
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002 - `draw` draws
-    ) -> tuple[NDArray[Any], Any]:
+    ) -> tuple[Array, Any]:
         """Decide deterministically for the only ego; see `behavexplor.ads.interface.ADS`."""
         seen = self._seen(observation, begins=state is None or bool(episode_start is not None and episode_start[0]))
         actions, state = self._policy.predict(seen, state, episode_start)
         return self._acted(actions), state
 
     def draw(
-        self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats
-    ) -> tuple[NDArray[Any], Any]:
+        self, observation: Observation, state: Any, episode_start: Bools | None, noise: Floats
+    ) -> tuple[Array, Any]:
         """Draw the action of the only ego; see `behavexplor.ads.interface.StochasticADS`."""
         seen = self._seen(observation, begins=state is None or bool(episode_start is not None and episode_start[0]))
         actions, state = self._policy.draw(seen, state, episode_start, noise)
@@ -131,7 +121,7 @@ class WrappedPolicy:
                 row = one.observation(row) if isinstance(one, gymnasium.ObservationWrapper) else row
         return mapped(lambda array: np.asarray(array)[None], row)  # type: ignore[no-any-return]
 
-    def _acted(self, actions: NDArray[Any]) -> NDArray[Any]:
+    def _acted(self, actions: Array) -> Array:
         action = actions[0]
         for one in reversed(self._wrappers):
             action = one.action(action) if isinstance(one, gymnasium.ActionWrapper) else action
@@ -168,11 +158,7 @@ def in_wrappers(policy: Any, model: Path, named: Sequence[Named], trust: Collect
 
 
 def _wrapper(name: str) -> Any:
-    """Return the class of a wrapper.
-
-    Raises:
-        InputError: if it cannot be imported, or is not one that changes observations or actions alone.
-    """
+    """Return the class of a wrapper."""
     module, _, attribute = name.partition(":")
     try:
         found = getattr(import_module(module), attribute)

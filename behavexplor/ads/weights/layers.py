@@ -5,12 +5,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.weights.tensors import TensorFile
+from behavexplor.data.array_types import Array
 
 MOST_LAYERS: Final = 100  # of one network
 Output = Literal["values", "logits", "mean"]
@@ -38,19 +38,12 @@ _OTHER_KINDS: Final[Mapping[str, re.Pattern[str]]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer with weights.
+    """A layer with weights."""
 
-    Attributes:
-        name: its name in the file.
-        kind: `DENSE`, `CONVOLUTION`, or a kind that is not supported, such as "recurrent".
-        weight: its weights, shape (outputs, inputs), or (outputs, inputs, rows, columns) of a convolution.
-        bias: its biases, shape (outputs,); None without.
-    """
-
-    name: str
-    kind: str
-    weight: NDArray[Any]
-    bias: NDArray[Any] | None
+    name: str  # its name in the file
+    kind: str  # `DENSE`, `CONVOLUTION`, or a kind that is not supported, such as "recurrent"
+    weight: Array  # its weights, shape (outputs, inputs), or (outputs, inputs, rows, columns) of a convolution
+    bias: Array | None  # its biases, shape (outputs,); None without
 
     @property
     def outputs(self) -> int:
@@ -65,25 +58,15 @@ class Layer:
 
 @dataclass(frozen=True)
 class ActingNetwork:
-    """A network that leads from observations to actions.
+    """A network that leads from observations to actions."""
 
-    Attributes:
-        name: its place in the file, such as "q_net"; empty for all of the file.
-        trunk: layers that its heads share.
-        head: layers from there to the actions.
-        value: layers from there to the value of a duelling network; none in any other one.
-        deviation: layers from there to the logarithms of standard deviations; none without.
-        log_std: logarithms of standard deviations that are the same everywhere; None without.
-        output: what its last layer gives, as far as names tell; None if unknown.
-    """
-
-    name: str
-    trunk: tuple[Layer, ...]
-    head: tuple[Layer, ...]
-    value: tuple[Layer, ...] = ()
-    deviation: tuple[Layer, ...] = ()
-    log_std: NDArray[Any] | None = None
-    output: Output | None = None
+    name: str  # its place in the file, such as "q_net"; empty for all of the file
+    trunk: tuple[Layer, ...]  # layers that its heads share
+    head: tuple[Layer, ...]  # layers from there to the actions
+    value: tuple[Layer, ...] = ()  # layers from there to the value of a duelling network; none in any other one
+    deviation: tuple[Layer, ...] = ()  # layers from there to the logarithms of standard deviations; none without
+    log_std: Array | None = None  # logarithms of standard deviations that are the same everywhere; None without
+    output: Output | None = None  # what its last layer gives, as far as names tell; None if unknown
 
     @property
     def layers(self) -> tuple[Layer, ...]:
@@ -144,7 +127,7 @@ def reason_against(file: TensorFile) -> str:
     return f"layers that do not follow one another ({shapes})" if layers else "no layers with weights"
 
 
-def _layer(name: str, arrays: Mapping[str, NDArray[Any]]) -> Layer | None:
+def _layer(name: str, arrays: Mapping[str, Array]) -> Layer | None:
     """Return the layer to which an array belongs as its weights; None for any other array."""
     array = arrays[name]
     other = next((kind for kind, pattern in _OTHER_KINDS.items() if pattern.search(name)), None)
@@ -158,7 +141,7 @@ def _layer(name: str, arrays: Mapping[str, NDArray[Any]]) -> Layer | None:
     return Layer(stem, kind, array if array.ndim > 1 else array.reshape(-1, 1), bias)
 
 
-def _networks(layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> list[ActingNetwork]:
+def _networks(layers: Sequence[Layer], stored: Mapping[str, Array]) -> list[ActingNetwork]:
     """Return the networks that some layers form: one, if they follow one another, or those of their parts."""
     prefix = _common(layers)
     whole = _network(prefix, layers, stored)
@@ -172,7 +155,7 @@ def _networks(layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> li
     return [found for part in parts.values() for found in _networks(part, stored)]
 
 
-def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> ActingNetwork | None:
+def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, Array]) -> ActingNetwork | None:
     """Return the network of layers that form one; None if they do not."""
     of: dict[str | None, list[Layer]] = {}
     for layer in layers:

@@ -1,7 +1,6 @@
 """Files of weights, read without executing anything: those that torch writes, and safetensors."""
 
 import hashlib
-import io
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -9,15 +8,15 @@ from math import prod
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
-from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
+from zipfile import ZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 from safetensors import SafetensorError, deserialize
 
-from behavexplor.ads.sb3.archive import suspicions_about
+from behavexplor.ads.sb3.archive import opened_torch, suspicions_about
 from behavexplor.ads.sb3.inert import MAX_DEPTH, MAX_PARTS, OLD_TORCH, Inert, Name, PickleReader, TooLongError
 from behavexplor.ads.sb3.normalization import as_mapping
+from behavexplor.data.array_types import Array
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
@@ -36,24 +35,16 @@ _SAVE: Final = "save its weights by torch.save(model.state_dict(), 'weights.pth'
 
 @dataclass(frozen=True)
 class TensorFile:
-    """The contents of a file of weights.
+    """The contents of a file of weights."""
 
-    Attributes:
-        path: path of the file.
-        digest: its digest, "sha256:...".
-        size: its size [bytes].
-        arrays: the tensors by their dotted names, such as "q_net.fc1.weight", in the order of the file. Those of
-            optimizers are left out.
-        in_order: whether this order is the one in which the layers were made.
-        suspicions: unusual calls that unpickling the file would make, each as a phrase.
-    """
-
-    path: Path
-    digest: str
-    size: int
-    arrays: Mapping[str, NDArray[Any]] = field(repr=False)
-    in_order: bool = True
-    suspicions: tuple[str, ...] = ()
+    path: Path  # path of the file
+    digest: str  # its digest, "sha256:..."
+    size: int  # its size [bytes]
+    # the tensors by their dotted names, such as "q_net.fc1.weight", in the order of the file. Those of optimizers are
+    # left out.
+    arrays: Mapping[str, Array] = field(repr=False)
+    in_order: bool = True  # whether this order is the one in which the layers were made
+    suspicions: tuple[str, ...] = ()  # unusual calls that unpickling the file would make, each as a phrase
 
 
 def read_tensors(path: Path) -> TensorFile:
@@ -86,17 +77,6 @@ def read_tensors(path: Path) -> TensorFile:
         raise InputError(f"{path} is not a file that torch.save writes, or is damaged: {error}") from None
 
 
-def _check_members(path: Path, file: ZipFile, packed: int) -> None:
-    """Check the members of a file of torch, which does not compress, before anything is unpacked.
-
-    Raises:
-        InputError: if they would unpack to more bytes than the file has.
-    """
-    unpacked = sum(member.file_size for member in file.infolist())
-    if unpacked > packed or any(one.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for one in file.infolist()):
-        raise InputError(f"{path} would unpack to {unpacked} bytes, which torch never writes; it was not read")
-
-
 def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
     """Return the tensors in what torch has written; see `read_tensors`.
 
@@ -106,8 +86,7 @@ def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
     """
     if data.count(_MEMBER) > MAX_MEMBERS:
         raise InputError(f"{path} has more than {MAX_MEMBERS} members, which no policy needs; it was not read")
-    with ZipFile(io.BytesIO(data)) as file:
-        _check_members(path, file, len(data))
+    with opened_torch(str(path), data) as file:
         names = file.namelist()
         if any("/code/" in name for name in names):
             raise InputError(f"{path} is a program of TorchScript, which is not run: {_SAVE}")
@@ -136,11 +115,7 @@ def _without_tensors(path: Path, content: Any, entries: list[tuple[str, Any]]) -
 
 
 def _entries(content: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
-    """Yield what the dictionaries of a file hold, except optimizers, by dotted name.
-
-    Raises:
-        ValueError: if they are nested too deeply, or hold too much.
-    """
+    """Yield what the dictionaries of a file hold, except optimizers, by dotted name."""
     count, waiting = 0, [(path, content)]
     while waiting:
         path, value = waiting.pop()
@@ -165,23 +140,14 @@ _PARAMETER: Final = "torch._utils._rebuild_parameter"
 
 
 class _Storages:
-    """The numbers of a file of torch, read when a tensor needs them.
-
-    Args:
-        file: the file.
-        root: name of the folder in it.
-    """
+    """The numbers of a file of torch, read when a tensor needs them."""
 
     def __init__(self, file: ZipFile, root: str) -> None:
         self._file, self._root = file, root
         self._read: dict[str, bytes] = {}
 
-    def tensor(self, made: Inert) -> NDArray[Any]:
-        """Return the array of a tensor, which shares the memory of its numbers.
-
-        Raises:
-            ValueError: if it reaches beyond them.
-        """
+    def tensor(self, made: Inert) -> Array:
+        """Return the array of a tensor, which shares the memory of its numbers."""
         if made.name.startswith(_PARAMETER):
             made = made.arguments[0]
         storage, offset, shape, strides = made.arguments[:4]
@@ -203,12 +169,12 @@ class _Storages:
         return _widened(found) if kind.name.endswith("BFloat16Storage") else found
 
 
-def _widened(halves: NDArray[Any]) -> NDArray[Any]:
+def _widened(halves: Array) -> Array:
     """Return numbers of the type bfloat16, which are the upper halves of those of the type float32."""
     return (halves.astype(np.uint32) << 16).view(np.float32)
 
 
-def _of_safetensors(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
+def _of_safetensors(path: Path, data: bytes) -> Mapping[str, Array]:
     """Return the tensors of floats in a file of safetensors, whose own library checks sizes against the file."""
     if int.from_bytes(data[:8], "little") > MAX_HEADER:
         raise InputError(f"{path} is not a file of safetensors, or has a header that no policy needs")

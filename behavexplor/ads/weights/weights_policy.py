@@ -37,11 +37,6 @@ _FUNCTIONS: Final[Mapping[Activation, type[torch.nn.Module]]] = {
 class WeightsPolicy:
     """A network of a file, which becomes a policy in an environment: only there are its observations and actions known.
 
-    Args:
-        path: path of the file.
-        network: the network.
-        description: what is known besides.
-
     The observation and action configuration and the frequencies are attributes only where they are known, and so is
     `env_config`.
     """
@@ -76,11 +71,7 @@ class WeightsPolicy:
         return SB3Policy(policy, described, statistics, None).seeing(space, action_space)
 
     def _space(self, space: gymnasium.Space[Any]) -> gymnasium.spaces.Box:
-        """Return the space of the observations of the network.
-
-        Raises:
-            InputError: if it has convolutions for other observations.
-        """
+        """Return the space of the observations of the network."""
         if not self.network.convolutions:
             return _numbers((self.network.layers[0].inputs,))
         shape, channels = space.shape or (), self.network.layers[0].inputs
@@ -107,10 +98,6 @@ class WeightsPolicy:
 
 def load_weights(path: Path, activation: Activation | None = None) -> WeightsPolicy:
     """Read a policy from a file of weights. No code of the file is executed.
-
-    Args:
-        path: path of the file; see `behavexplor.ads.sb3.description` for the files beside it.
-        activation: function between its layers; None for that in the file beside it.
 
     Raises:
         InputError: if it has no network that can drive, or something about it must be said.

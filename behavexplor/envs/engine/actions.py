@@ -10,13 +10,13 @@ from gymnasium import Space, spaces
 from highway_env.envs.common.action import ActionType, ContinuousAction, DiscreteAction, DiscreteMetaAction
 from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Floats
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.envs.values import shown
 from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for, kernel_in_place
 
-Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # converts actions, shape (B, ...), to commands, shape (B, 2)
+Commands: TypeAlias = Callable[[Array], Floats]  # converts actions, shape (B, ...), to commands, shape (B, 2)
 
 
 def make_commands(action_type: ActionType) -> Commands:
@@ -36,7 +36,7 @@ def command_table(action_type: ActionType) -> Floats | None:
     return None
 
 
-def _looked_up(table: Floats, actions: NDArray[Any]) -> Floats:
+def _looked_up(table: Floats, actions: Array) -> Floats:
     return np.asarray(table[np.asarray(actions, dtype=np.int64)])
 
 
@@ -62,7 +62,7 @@ class _ContinuousCommands:
         commands = np.zeros((1, 2))
         self._fill: Any = compiled_for(_fill_commands, commands, self._scales, self._clip, False, 0, commands)
 
-    def __call__(self, actions: NDArray[Any]) -> Floats:
+    def __call__(self, actions: Array) -> Floats:
         if actions.dtype.kind == "f" and actions.dtype not in (np.float32, np.float64):
             return self._in_rare_precision(actions)
         commands = np.zeros((len(actions), 2))
@@ -100,11 +100,9 @@ def _fill_commands(actions: Floats, scales: Floats, clip: bool, is_single: bool,
 
 
 def check_actions(space: Space[Any], actions: Any) -> None:
-    """Check that an action, or a batch of actions, has the shape of its space and can be carried out.
+    """Check that an action, or a batch of them, has the shape of its space and can be carried out.
 
-    Args:
-        space: a Discrete, MultiDiscrete or Box space. Any finite number is accepted for a Box, even beyond its bounds.
-        actions: the action, or the batch of actions.
+    Any finite number is accepted for a Box, even beyond its bounds.
 
     Raises:
         InputError: if the actions do not fit the space; the message says what was expected.

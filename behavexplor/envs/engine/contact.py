@@ -36,13 +36,7 @@ def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: in
 
     Most pairs are passed over at once, because they are too far apart along x, or because neither checks collisions.
 
-    Args:
-        vehicles: the vehicles and obstacles, changed in place.
-        traits: their traits.
-        n_vehicles: number of vehicles, which come first.
-        n_obstacles: number of obstacles.
-        dt: duration of a frame, for which a collision is foreseen [s].
-        xs: memory for the positions along x, shape (N,).
+    `dt` is the duration of a frame, for which a collision is foreseen [s], and `xs` memory for the positions along x.
     """
     longest = 0.0
     end_of_checking = 0
@@ -102,12 +96,6 @@ def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, 
     """Return whether two boxes overlap, whether they will, and the push that parts them [m].
 
     This is `highway_env.utils.are_polygons_intersecting`. It ends early only if the rest cannot change the result.
-
-    Args:
-        a: corners of a box [m].
-        b: corners of the other box [m].
-        dx: motion of the first box relative to the other [m].
-        dy: motion of the first box relative to the other [m].
     """
     is_now = is_soon = True
     least = math.inf

@@ -30,15 +30,11 @@ THING: Final = record_type(
 
 
 class FrameLog(NamedTuple):
-    """The frames of the latest decision of B episodes, each with room for N vehicles and obstacles.
+    """The frames of the latest decision of B episodes, each with room for N vehicles and obstacles."""
 
-    Attributes:
-        frames: shape (B, frames) of `FRAME`.
-        things: vehicles in highway-env's order, then obstacles, shape (B, frames, N) of `THING`. What lies beyond
-            `n_things` is undefined.
-    """
-
-    frames: Records
+    frames: Records  # shape (B, frames) of `FRAME`
+    # vehicles in highway-env's order, then obstacles, shape (B, frames, N) of `THING`. What lies beyond `n_things` is
+    # undefined.
     things: Records
 
 
@@ -49,14 +45,7 @@ def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
 
 @kernel_inner
 def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> None:
-    """Log the present state.
-
-    Args:
-        network: the road network.
-        scene: the episode.
-        frame: changed in place.
-        things: changed in place, shape (N,).
-    """
+    """Log the present state."""
     episode, ego = scene.episode, scene.vehicles[scene.episode.ego]
     frame.n_things = episode.n_vehicles + episode.n_obstacles
     frame.ego, frame.is_on_road = episode.ego, is_on_road(network, ego)

@@ -40,12 +40,8 @@ PREDICTION_STEP: Final = 0.25  # time between predictions [s]
 def give_command(world: World, scene: Scene, first: float, second: float) -> None:
     """Begin a decision: count it, and give the ego its command.
 
-    Args:
-        world: the environment's road and rules.
-        scene: the episode, changed in place.
-        first: the ego's acceleration [m/s2]; for meta-actions, the index of the maneuver in
-            `behavexplor.data.conventions.MANEUVERS`.
-        second: its steering [rad].
+    `first` is the ego's acceleration [m/s2], and `second` its steering [rad]; for meta-actions, the first is the index
+    of the maneuver in `MANEUVERS`.
     """
     rules, episode = world.rules[0], scene.episode
     episode.time += rules.policy_period
@@ -59,16 +55,7 @@ def give_command(world: World, scene: Scene, first: float, second: float) -> Non
 
 @kernel_inner
 def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, frames: Records, things: Records) -> None:
-    """Simulate some frames: `Road.act` and `Road.step`.
-
-    Args:
-        network: the road network.
-        rules: the record of `World.rules`.
-        scene: the episode, changed in place.
-        n_frames: number of frames.
-        frames: row of `FrameLog.frames`; frames beyond its length are not logged.
-        things: row of `FrameLog.things`.
-    """
+    """Simulate some frames: `Road.act` and `Road.step`. The log has no frames beyond its length."""
     episode = scene.episode
     note_places(network, scene)
     for k in range(n_frames):
@@ -100,10 +87,6 @@ def enforce_rules(network: Network, scene: Scene) -> None:
     """Stop vehicles that must yield, and release those that had to: `RegulatedRoad.enforce_road_rules`.
 
     Egos never yield.
-
-    Args:
-        network: the road network.
-        scene: the episode, changed in place.
     """
     n_vehicles = scene.episode.n_vehicles
     for i in range(n_vehicles):
@@ -204,12 +187,6 @@ def _enters(a: Floats, a_traits: Traits, b: Floats, b_traits: Traits) -> bool:
 
     This is `highway_env.utils.has_corner_inside`, which rotates points into the frame of b by b's heading, not by its
     opposite. The result is that of highway-env, not that of geometry.
-
-    Args:
-        a: x [m], y [m] and heading [rad] of a vehicle, shape (3,).
-        a_traits: the vehicle's traits.
-        b: x [m], y [m] and heading [rad] of the other, shape (3,).
-        b_traits: the other's traits.
     """
     cos_a, sin_a, cos_b, sin_b = math.cos(a[2]), math.sin(a[2]), math.cos(b[2]), math.sin(b[2])
     along, aside = 1.5 * a_traits.length / 2, 0.9 * a_traits.width / 2

@@ -132,12 +132,7 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
 
     The lane is that of `RoadNetwork.get_closest_lane_index`.
 
-    Args:
-        network: the lanes. Of two equally close ones, the first is chosen.
-        likely: a lane that is probably close. It saves time, but does not change the result.
-        x: position [m].
-        y: position [m].
-        heading: heading [rad].
+    A `likely` lane saves time, but does not change the result: the first of several that are equally close.
     """
     best, place = likely, lane_coordinates(network.lanes[likely], x, y)
     if _is_alone(network, likely, x, y, _distance(network.lanes[likely], *place) + math.pi):  # at any heading
@@ -187,14 +182,7 @@ def is_farther(lane: Lane, x: float, y: float, limit: float) -> bool:
 
 @kernel_inner
 def _is_off_circle(lane: Lane, dx: float, dy: float, limit: float) -> bool:
-    """Return whether a point is certainly farther than a limit from an arc's circle. It takes no square root.
-
-    Args:
-        lane: a circular lane.
-        dx: distance of the point from the center along x [m].
-        dy: distance along y [m].
-        limit: the limit [m].
-    """
+    """Return whether a point is certainly farther than a limit from an arc's circle. It takes no square root."""
     square = dx * dx + dy * dy
     outer, inner = lane.radius + limit + SLACK, max(lane.radius - limit - SLACK, 0.0)
     return bool(square > outer * outer or square < inner * inner)
@@ -213,12 +201,6 @@ def _least_distance_beyond_arc(lane: Lane, dx: float, dy: float, distance: float
     """Compute a lower bound of the distance beyond an arc's ends, measured along its circle [m].
 
     The angle between two directions is at least the difference of their cosines.
-
-    Args:
-        lane: a circular lane.
-        dx: distance of the point from the center along x [m].
-        dy: distance along y [m].
-        distance: distance in a straight line [m].
     """
     if distance < SLACK:  # at the center, which is in no direction
         return 0.0

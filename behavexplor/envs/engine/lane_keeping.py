@@ -48,15 +48,7 @@ def not_zero(value: float) -> float:
 
 @kernel_inner
 def take_maneuver(network: Network, speeds: Floats, vehicle: Vehicle, route: Records, maneuver: int) -> None:
-    """Change the target speed and the target lane as a meta-action says: `MDPVehicle.act`.
-
-    Args:
-        network: the road network.
-        speeds: the target speeds that the vehicle may have [m/s].
-        vehicle: the vehicle, changed in place.
-        route: its route.
-        maneuver: an index of `behavexplor.data.conventions.MANEUVERS`.
-    """
+    """Change the target speed and the target lane as a meta-action says: `MDPVehicle.act`."""
     if maneuver in (FASTER, SLOWER):
         index = nearest_speed(speeds, vehicle.speed) + (1 if maneuver == FASTER else -1)
         vehicle.speed_index = min(max(index, 0), len(speeds) - 1)
@@ -85,13 +77,7 @@ def keep_lane_and_speed(
 ) -> None:
     """Steer toward the target lane and accelerate toward the target speed: `ControlledVehicle.act` without an action.
 
-    Args:
-        network: the road network.
-        vehicle: the vehicle, changed in place.
-        route: its route.
-        length: its length [m].
-        station: its station on the target lane [m].
-        offset: its offset from the target lane [m].
+    Station and offset are those on the target lane [m].
     """
     former = vehicle.target_lane
     follow_road(network, vehicle, route, station)
@@ -104,28 +90,14 @@ def keep_lane_and_speed(
 
 @kernel_inner
 def follow_road(network: Network, vehicle: Vehicle, route: Records, station: float) -> None:
-    """Give a vehicle near the end of its target lane the next one: `ControlledVehicle.follow_road`.
-
-    Args:
-        network: the road network.
-        vehicle: the vehicle, changed in place.
-        route: its route, shape (steps,) of `ROUTE_STEP`.
-        station: its station on the target lane [m].
-    """
+    """Give a vehicle near the end of its target lane the next one: `ControlledVehicle.follow_road`."""
     if is_after_end(network.lanes[vehicle.target_lane], station):
         vehicle.target_lane = _next_lane(network, vehicle, route, station)
 
 
 @kernel_inner
 def _next_lane(network: Network, vehicle: Vehicle, route: Records, station: float) -> int:
-    """Return the lane after the target lane: along the route if it continues there, else the closest one.
-
-    Args:
-        network: the road network.
-        vehicle: the vehicle, whose position on the route is advanced.
-        route: its route.
-        station: its station on the target lane [m].
-    """
+    """Return the lane after the target lane: along the route if it continues there, else the closest one."""
     lane = network.lanes[vehicle.target_lane]
     road = network.roads[lane.road]
     x, y = lane_point(lane, station)
@@ -170,15 +142,7 @@ def throttle(target_speed: float, speed: float) -> float:
 
 @kernel_inner
 def steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, length: float) -> float:
-    """Compute the steering angle toward a lane [rad]: `ControlledVehicle.steering_control`.
-
-    Args:
-        lane: the lane to follow.
-        vehicle: the vehicle.
-        station: its station on the lane [m].
-        offset: its offset from the lane [m].
-        length: its length [m].
-    """
+    """Compute the steering angle toward a lane [rad]: `ControlledVehicle.steering_control`."""
     divisor = not_zero(vehicle.speed)
     future_heading = lane_heading(lane, station + vehicle.speed * PURSUIT_TIME)
     command = math.asin(clip(-KP_LATERAL * offset / divisor, -1.0, 1.0))

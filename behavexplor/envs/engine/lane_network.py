@@ -62,19 +62,13 @@ _CHANGEABLE: Final = frozenset({"__init__", "from_config", "to_config"})  # by s
 
 
 class Network(NamedTuple):
-    """A road network as tables.
+    """A road network as tables."""
 
-    Attributes:
-        lanes: all lanes, shape (lanes,) of `LANE`.
-        roads: all roads, shape (roads,) of `ROAD`.
-        exits: numbers of the roads that begin where a road ends, for one road after the other.
-        links: lanes on which `Road.neighbour_vehicles` looks for vehicles, for one lane after the other, with the
-            offset of their stations [m], of `LINK`. The first link of a lane is the lane itself.
-    """
-
-    lanes: Records
-    roads: Records
-    exits: Ints
+    lanes: Records  # all lanes, shape (lanes,) of `LANE`
+    roads: Records  # all roads, shape (roads,) of `ROAD`
+    exits: Ints  # numbers of the roads that begin where a road ends, for one road after the other
+    # lanes on which `Road.neighbour_vehicles` looks for vehicles, for one lane after the other, with the offset of
+    # their stations [m], of `LINK`. The first link of a lane is the lane itself.
     links: Records
 
 
@@ -97,12 +91,9 @@ def make_network(
 ) -> Network:
     """Convert a road network of highway-env to tables.
 
-    Args:
-        network: the road network. Its lanes are straight, sine or circular.
-        connected_lanes: whether neighbors are looked for on preceding and following lanes, too: highway-env's option
-            `neighbour_vehicles_connected_lanes`.
-        is_goal: which lanes are marked. The meaning of the mark is the environment's.
-        same_geometry: subclasses of highway-env's lanes that compute the same in another way.
+    `connected_lanes` is highway-env's option `neighbour_vehicles_connected_lanes`: neighbors are looked for on
+    preceding and following lanes, too. The meaning of the lanes marked by `is_goal` is the environment's. Lanes of the
+    classes `same_geometry` compute the same in another way.
 
     Raises:
         InputError: if a lane has another geometry.

@@ -8,15 +8,14 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.envs.source_gate import ChangeGuard
 from behavexplor.envs.values import COUNT, shown
 from behavexplor.errors import InputError, unknown_name
 
 
-class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
     """Episodes in lock-step, one in each slot. A subclass begins, simulates and observes them.
 
     Args:
@@ -30,7 +29,7 @@ class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     """
 
     _options: ClassVar[tuple[str, ...]]  # of `reset`
-    _observations: NDArray[Any]  # the latest ones, shape (num_envs, ...)
+    _observations: Array  # the latest ones, shape (num_envs, ...)
 
     def __init__(self, single: Any, num_envs: int, autoreset_mode: AutoresetMode | str, guard: ChangeGuard) -> None:
         COUNT.check("num_envs", num_envs)
@@ -45,12 +44,10 @@ class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Begin episodes; see the class for `options`.
+    ) -> tuple[Array, dict[str, Any]]:
+        """Begin episodes in all slots, or in those that the option `reset_mask` selects, shape (num_envs,).
 
-        Args:
-            seed: one seed for each sub-environment, or a single seed s that gives sub-environment i the seed s + i.
-            options: `reset_mask` selects the sub-environments to reset, shape (num_envs,).
+        A single seed s gives sub-environment i the seed s + i.
 
         Raises:
             InputError: if an option or a seed cannot be used.
@@ -67,7 +64,7 @@ class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._idle -= set(np.flatnonzero(mask).tolist())
         return self._observations.copy(), self._infos(np.zeros(self.num_envs, dtype=bool), mask.copy())
 
-    def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
+    def step(self, actions: Array) -> tuple[Array, Floats, Bools, Bools, dict[str, Any]]:
         """Take an action in every sub-environment.
 
         Args:
@@ -113,11 +110,7 @@ class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     @abstractmethod
     def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
-        """Return more arguments for `_begin` from the options of a reset.
-
-        Raises:
-            InputError: if an option cannot be used.
-        """
+        """Return more arguments for `_begin` from the options of a reset."""
 
     @abstractmethod
     def _seed(self, b: int, seed: int | None) -> None:
@@ -128,22 +121,16 @@ class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Begin episodes in the chosen slots, shape (num_envs,), and observe them."""
 
     @abstractmethod
-    def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
+    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools]:
         """Simulate a decision in each slot whose episode has not ended, and observe it.
 
-        Returns:
-            Arrays that the caller may change, each of shape (num_envs,): the rewards, whether the episodes have been
-            terminated and truncated, also earlier on, and whether they have taken a decision.
+        Return arrays that the caller may change, each of shape (num_envs,): the rewards, whether the episodes have been
+        terminated and truncated, also earlier on, and whether they have taken a decision.
         """
 
     @abstractmethod
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
-        """Return infos in gymnasium's format: arrays, each with a mask that says for whom it is.
-
-        Args:
-            stepped: slots that have taken a decision, shape (num_envs,). The array becomes part of the infos.
-            begun: slots that have begun an episode, shape (num_envs,). The array becomes part of the infos.
-        """
+        """Return infos in gymnasium's format: arrays, each with a mask, shape (num_envs,), that says for whom it is."""
 
 
 def chosen_mode(name: AutoresetMode | str) -> AutoresetMode:

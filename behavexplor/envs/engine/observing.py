@@ -48,15 +48,10 @@ DEPTH: Final = 3  # roads ahead on which vehicles are considered
 
 
 class View(NamedTuple):
-    """The options of a Kinematics observation.
+    """The options of a Kinematics observation."""
 
-    Attributes:
-        options: shape (1,) of `OPTIONS`.
-        columns: the features, shape (features,) of `COLUMN`.
-    """
-
-    options: Records
-    columns: Records
+    options: Records  # shape (1,) of `OPTIONS`
+    columns: Records  # the features, shape (features,) of `COLUMN`
 
 
 def make_view(observation: KinematicObservation) -> View:
@@ -101,14 +96,7 @@ def _make_columns(observation: KinematicObservation) -> Records:
 
 @kernel_inner
 def observe(network: Network, view: View, scene: Scene, table: Singles) -> None:
-    """Fill a Kinematics observation, in highway-env's order even if it is "shuffled".
-
-    Args:
-        network: the road network.
-        view: the options.
-        scene: the episode.
-        table: the observation, shape (vehicles_count, features).
-    """
+    """Fill a Kinematics observation, in highway-env's order even if it is "shuffled"."""
     options, ego = view.options[0], scene.episode.ego
     n_seen = _sort_seen(network, view, scene, len(table) - 1)
     table[:] = 0.0
@@ -215,15 +203,10 @@ def _lane_offset(network: Network, vehicle: Vehicle, feature: int) -> float:
 
 
 class GridMemory(NamedTuple):
-    """Memory for the observation.
+    """Memory for the observation."""
 
-    Attributes:
-        grid: cost of each cell, shape (speeds, lanes, times), with the lanes of the widest road.
-        stack: roads that are still to be searched, shape (3 x roads + 1, 3).
-    """
-
-    grid: Singles
-    stack: Ints
+    grid: Singles  # cost of each cell, shape (speeds, lanes, times), with the lanes of the widest road
+    stack: Ints  # roads that are still to be searched, shape (3 x roads + 1, 3)
 
 
 def make_memory(network: Network, n_speeds: int, n_times: int) -> GridMemory:
@@ -237,16 +220,7 @@ def make_memory(network: Network, n_speeds: int, n_times: int) -> GridMemory:
 def observe_times(
     network: Network, scene: Scene, speeds: Floats, period: float, memory: GridMemory, observation: Singles
 ) -> None:
-    """Fill a TimeToCollision observation.
-
-    Args:
-        network: the road network.
-        scene: the episode.
-        speeds: the ego's target speeds, shape (speeds,) [m/s].
-        period: duration of a cell of the grid [s].
-        memory: overwritten.
-        observation: the observation, shape (9, times): three speeds times three lanes.
-    """
+    """Fill a TimeToCollision observation, shape (9, times): three target speeds times three lanes."""
     ego = scene.vehicles[scene.episode.ego]
     lane = network.lanes[ego.lane]
     n_speeds, n_lanes = len(speeds), network.roads[lane.road].n_lanes

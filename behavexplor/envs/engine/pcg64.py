@@ -51,11 +51,7 @@ _INVERSE_TAIL: Final = 0.2736612373297583
 
 
 def generator_words(generator: np.random.Generator) -> Words:
-    """Return the state of a numpy generator as an array without given draws, shape (8,).
-
-    Args:
-        generator: a generator on `PCG64`, as `numpy.random.default_rng` and gymnasium make it.
-    """
+    """Return the state of a numpy generator on `PCG64` as an array without given draws, shape (8,)."""
     state = generator.bit_generator.state
     word, increment = int(state["state"]["state"]), int(state["state"]["inc"])
     values = [*divmod(word, 1 << 64), *divmod(increment, 1 << 64), state["has_uint32"], state["uinteger"], 0, 0]
@@ -215,12 +211,7 @@ def two_of(words: Words, n: int) -> tuple[int, int]:
 
 @kernel_inner
 def weighted(words: Words, cumulated: Floats) -> int:
-    """Draw an index with given probabilities: `Generator.choice(n, size=1, p=p)`.
-
-    Args:
-        words: the generator.
-        cumulated: the cumulated probabilities, divided by their last one, shape (n,).
-    """
+    """Draw an index with given cumulated probabilities, the last one 1: `Generator.choice(n, size=1, p=p)`."""
     share = random(words)
     i = 0
     while i < len(cumulated) and cumulated[i] <= share:

@@ -25,13 +25,7 @@ MIN_CHANGE_SPEED: Final = 1  # a slower vehicle does not change lane [m/s]
 
 @kernel_inner
 def drive(network: Network, scene: Scene, i: int) -> None:
-    """Decide the lane, steering and acceleration of a vehicle: `IDMVehicle.act`.
-
-    Args:
-        network: the road network.
-        scene: the episode. Vehicle i is changed in place.
-        i: the vehicle, whose kind is IDM or LINEAR. It has not crashed.
-    """
+    """Decide the lane, steering and acceleration of a vehicle: `IDMVehicle.act`."""
     vehicle, traits, former = scene.vehicles[i], scene.traits[i], scene.vehicles[i].target_lane
     station, offset = coordinates_on(network, scene, i, former)
     follow_road(network, vehicle, scene.routes[i], station)
@@ -58,12 +52,6 @@ def _change_lane(network: Network, scene: Scene, i: int, free: float) -> None:
     """Begin or abort a change of lane: `IDMVehicle.change_lane_policy`.
 
     If MOBIL recommends both sides, the right one is taken.
-
-    Args:
-        network: the road network.
-        scene: the episode. Vehicle i is changed in place.
-        i: the vehicle.
-        free: the acceleration that it would want on a free road [m/s2].
     """
     vehicle, traits = scene.vehicles[i], scene.traits[i]
     lane = network.lanes[vehicle.lane]
@@ -107,15 +95,8 @@ def _recommends(
 ) -> bool:
     """Return whether MOBIL recommends a change to a lane: `IDMVehicle.mobil`.
 
-    Args:
-        network: the road network.
-        scene: the episode.
-        i: the vehicle.
-        lane: the new lane.
-        free: the acceleration that it would want on a free road [m/s2].
-        unchanged: the acceleration that it wants in its present lane [m/s2].
-        old_front: the vehicle in front in the present lane, or `NO_VEHICLE`.
-        old_rear: the vehicle behind in the present lane, or `NO_VEHICLE`.
+    `free` and `unchanged` are the accelerations that it would want on a free road, and wants in its present lane
+    [m/s2].
     """
     vehicle, traits = scene.vehicles[i], scene.traits[i]
     station, _ = lane_coordinates(network.lanes[lane], vehicle.x, vehicle.y)
@@ -178,13 +159,7 @@ def _free_acceleration(network: Network, scene: Scene, traits: Traits, i: int) -
 def _acceleration(network: Network, scene: Scene, traits: Traits, i: int, front: int, free: float) -> float:
     """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
 
-    Args:
-        network: the road network.
-        scene: the episode.
-        traits: the driver's traits.
-        i: the vehicle to be accelerated, which need not be the driver's own.
-        front: the vehicle in front of it, or `NO_VEHICLE`.
-        free: the acceleration that the driver would want on a free road [m/s2].
+    Vehicle i need not be the driver's own; `free` is what the driver would want on a free road [m/s2].
     """
     if front == NO_VEHICLE or (scene.traits[i].kind == OBSTACLE and traits.kind != LINEAR):
         return free
@@ -215,15 +190,7 @@ MARGIN: Final = 1.0  # a vehicle this far beside a lane still counts as on it [m
 
 @kernel_inner
 def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float) -> tuple[int, int]:
-    """Return the nearest vehicles or obstacles in front and behind, `NO_VEHICLE` if there is none.
-
-    Args:
-        network: the road network.
-        scene: the episode.
-        i: the vehicle, which is not its own neighbor.
-        lane: the lane on which its neighbors are.
-        station: the vehicle's station on this lane [m].
-    """
+    """Return the nearest vehicles or obstacles in front and behind, `NO_VEHICLE` if there is none."""
     on_lane = scene.scratch.on_lane[lane]
     if scene.scratch.n_on_lane[lane] == UNKNOWN:
         scene.scratch.n_on_lane[lane] = _find_on_lane(network, scene, lane, on_lane)

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Ints
+from behavexplor.data.array_types import Floats, Ints
 
 Vehicle: TypeAlias = np.record
 Traits: TypeAlias = np.record
@@ -19,11 +19,7 @@ RecordType: TypeAlias = np.dtype[np.record]
 
 
 def record_type(**fields: type) -> RecordType:
-    """Create the type of a record.
-
-    Args:
-        fields: type of each field, in their order in memory.
-    """
+    """Create the type of a record."""
     return cast("RecordType", np.dtype((np.record, np.dtype(list(fields.items()), align=True))))
 
 
@@ -107,40 +103,24 @@ class Slots(NamedTuple):
     """B episodes in lock-step, each with room for N vehicles and obstacles.
 
     A row holds the vehicles first, in highway-env's order, then the obstacles. The rest of it is undefined.
-
-    Attributes:
-        episodes: shape (B,) of `EPISODE`.
-        vehicles: what changes from frame to frame, shape (B, N) of `VEHICLE`.
-        traits: what does not change in an episode, shape (B, N) of `TRAITS`.
-        routes: the vehicles' routes, shape (B, N, steps) of `ROUTE_STEP`.
     """
 
-    episodes: Records
-    vehicles: Records
-    traits: Records
-    routes: Records
+    episodes: Records  # shape (B,) of `EPISODE`
+    vehicles: Records  # what changes from frame to frame, shape (B, N) of `VEHICLE`
+    traits: Records  # what does not change in an episode, shape (B, N) of `TRAITS`
+    routes: Records  # the vehicles' routes, shape (B, N, steps) of `ROUTE_STEP`
 
 
 class Scratch(NamedTuple):
-    """Memory that kernels use within a frame.
+    """Memory that kernels use within a frame."""
 
-    Attributes:
-        n_on_lane: number of vehicles on each lane, -1 if it has not been asked for in this frame; shape (lanes,).
-        on_lane: these vehicles and their stations [m], shape (lanes, N) of `ON_LANE`.
-        predictions: the vehicles' predicted positions [m] and headings [rad], shape (N, times, 3).
-        stations: station of each vehicle and obstacle on its closest lane [m], shape (N,).
-        offsets: offset from it [m], shape (N,).
-        copy: a vehicle, shape (1,) of `VEHICLE`.
-        xs: positions along x [m], shape (N,).
-    """
-
-    n_on_lane: Ints
-    on_lane: Records
-    predictions: NDArray[np.float64]
-    stations: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    copy: Records
-    xs: NDArray[np.float64]
+    n_on_lane: Ints  # number of vehicles on each lane, -1 if it has not been asked for in this frame; shape (lanes,)
+    on_lane: Records  # these vehicles and their stations [m], shape (lanes, N) of `ON_LANE`
+    predictions: Floats  # the vehicles' predicted positions [m] and headings [rad], shape (N, times, 3)
+    stations: Floats  # station of each vehicle and obstacle on its closest lane [m], shape (N,)
+    offsets: Floats  # offset from it [m], shape (N,)
+    copy: Records  # a vehicle, shape (1,) of `VEHICLE`
+    xs: Floats  # positions along x [m], shape (N,)
 
 
 class Scene(NamedTuple):
@@ -160,13 +140,7 @@ N_PREDICTIONS: Final = 11
 
 
 def make_slots(n_slots: int, n_places: int, n_steps: int) -> Slots:
-    """Create slots without vehicles.
-
-    Args:
-        n_slots: number of slots.
-        n_places: greatest number of vehicles and obstacles of an episode.
-        n_steps: greatest number of steps of a route.
-    """
+    """Create slots without vehicles."""
     return Slots(
         episodes=np.zeros(n_slots, EPISODE),
         vehicles=np.zeros((n_slots, n_places), VEHICLE),

@@ -60,19 +60,12 @@ _GAINS: tuple[tuple[float, ...], ...] = tuple(
 
 
 class World(NamedTuple):
-    """An environment's road and rules.
+    """An environment's road and rules."""
 
-    Attributes:
-        network: the road network.
-        rules: the numbers that determine how a decision runs, shape (1,) of `RULES`.
-        speeds: target speeds of the ego's meta-actions [m/s], shape (speeds,).
-        templates: traits of the ego, of new vehicles of the traffic, and of obstacles, shape (3,) of `TRAITS`.
-    """
-
-    network: Network
-    rules: Records
-    speeds: Floats
-    templates: Records
+    network: Network  # the road network
+    rules: Records  # the numbers that determine how a decision runs, shape (1,) of `RULES`
+    speeds: Floats  # target speeds of the ego's meta-actions [m/s], shape (speeds,)
+    templates: Records  # traits of the ego, of new vehicles of the traffic, and of obstacles, shape (3,) of `TRAITS`
 
 
 def make_world(env: AbstractEnv, is_goal: Callable[[LaneIndex], bool] = lambda _: False) -> World:
@@ -80,10 +73,6 @@ def make_world(env: AbstractEnv, is_goal: Callable[[LaneIndex], bool] = lambda _
 
     The parameters of the traffic are those that highway-env's classes have at this moment: `IntersectionEnv` changes
     them for the whole process.
-
-    Args:
-        env: the environment.
-        is_goal: which lanes are marked as goals.
 
     Raises:
         InputError: if the environment has lanes, vehicles or actions that the engine does not know.
@@ -150,14 +139,7 @@ def _make_templates(env: AbstractEnv) -> Records:
 def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float, heading: float, speed: float) -> int:
     """Add a vehicle behind all others in the list, and return its place.
 
-    Args:
-        world: the road and the vehicles' classes.
-        scene: the episode, changed in place. It has no obstacles yet.
-        template: AS_EGO or AS_OTHER, the vehicle's class.
-        x: position [m].
-        y: position [m].
-        heading: heading [rad].
-        speed: speed [m/s], also the target speed.
+    The template is AS_EGO or AS_OTHER. The speed is also the target speed. There must be no obstacles yet.
     """
     i: int = scene.episode.n_vehicles
     scene.episode.n_vehicles = i + 1
@@ -201,11 +183,7 @@ def place_nearby(world: World, scene: Scene, words: Words, lane: int, station: f
 def plan_route(world: World, scene: Scene, i: int, plans: Ints) -> None:
     """Plan the route of vehicle i from its lane to a destination: `ControlledVehicle.plan_route_to`.
 
-    Args:
-        world: the road.
-        scene: the episode, changed in place.
-        i: the vehicle.
-        plans: roads of the route from every road, padded with -1, shape (roads, steps).
+    `plans` are the roads of the route from every road, padded with -1, shape (roads, steps).
     """
     if scene.traits[i].kind == PLAIN:
         return

@@ -8,8 +8,8 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.vehicle.objects import RoadObject
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
 from behavexplor.envs.engine.state import (
     IDM,
@@ -34,12 +34,6 @@ _PRECISION = 1e-9  # numpy and the C library may differ in the last bit
 
 def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
     """Copy the present state of an environment into slot b.
-
-    Args:
-        env: a highway-env environment, without wrappers, with the road and the rules of `world`.
-        world: the road and rules.
-        slots: the slots, changed in place.
-        b: the slot.
 
     Raises:
         InputError: if the environment has vehicles that the engine does not know, or too many for the slot.
@@ -87,7 +81,7 @@ def _load_commands(vehicle: Vehicle, thing: Any) -> None:
         (vehicle.impact_x, vehicle.impact_y), vehicle.has_impact = thing.impact, True
 
 
-def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], speeds: NDArray[np.float64]) -> None:
+def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], speeds: Floats) -> None:
     if not np.array_equal(getattr(thing, "target_speeds", speeds), speeds):
         raise InputError(
             f"A vehicle has the target speeds {thing.target_speeds}, but those of the actions are {speeds}"
@@ -127,19 +121,12 @@ def make_route(vehicle: Vehicle, steps: Records, ends: list[tuple[str, str]]) ->
 
 
 class SlotState(NamedTuple):
-    """A copy of a slot with n vehicles and obstacles.
+    """A copy of a slot with n vehicles and obstacles."""
 
-    Attributes:
-        episode: shape () of `behavexplor.envs.engine.state.EPISODE`.
-        vehicles: shape (n,) of `VEHICLE`.
-        traits: shape (n,) of `TRAITS`.
-        routes: shape (n, steps) of `ROUTE_STEP`.
-    """
-
-    episode: Records
-    vehicles: Records
-    traits: Records
-    routes: Records
+    episode: Records  # shape () of `behavexplor.envs.engine.state.EPISODE`
+    vehicles: Records  # shape (n,) of `VEHICLE`
+    traits: Records  # shape (n,) of `TRAITS`
+    routes: Records  # shape (n, steps) of `ROUTE_STEP`
 
     def ego_route(self, network: RoadNetwork) -> list[LaneIndex]:
         """Return the lanes of what is left of the ego's route; none if it has no route."""

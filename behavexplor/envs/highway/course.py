@@ -32,20 +32,10 @@ _LEFT, _RIGHT = 0, 1  # places of a lane's line types
 def ego_route(
     network: RoadNetwork, planned: Sequence[LaneIndex], driven: Sequence[LaneIndex], positions: Floats
 ) -> Floats:
-    """Return the center line of the ego's way, without its changes of lane.
+    """Return the center line of the ego's way, without its changes of lane, shape (P, 2), P >= 2 [m].
 
     On each road, the route stays in the lane with the number of the first lane, as far as the road has it. A lane
     change therefore shows as an offset from the route, and a turn as a turn of the route.
-
-    Args:
-        network: the road network.
-        planned: the lanes of the ego's route at the start; empty if the environment plans none. Then the route is made
-            of the roads along which the ego drove, as far as they are connected.
-        driven: the ego's lane in every frame.
-        positions: the ego's positions, shape (T, 2) [m].
-
-    Returns:
-        Points, shape (P, 2), P >= 2 [m].
     """
     roads = [lane[:2] for lane in planned] if planned else _connected([lane[:2] for lane in driven])
     number = driven[0][2] or 0

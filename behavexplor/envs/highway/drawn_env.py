@@ -91,11 +91,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         return min([*limits, MOST_DECISIONS])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode.
-
-        Args:
-            seed: seed of the environment's draws, if no scenario is given.
-            options: a `scenario` to play.
+        """Begin an episode with the `scenario` among the options, or with draws by the seed.
 
         Raises:
             InputError: if the scenario is not one of this environment in this configuration, or an option is unknown.
@@ -216,9 +212,6 @@ class Layout:
 
     Draws belong together if they are made in one of several calls of the same method of the environment, such as one
     that lets a vehicle appear. All other draws belong to the vehicle that is placed next.
-
-    Args:
-        env: class of the environment.
     """
 
     def __init__(self, env: type) -> None:

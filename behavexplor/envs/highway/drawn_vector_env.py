@@ -10,9 +10,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit
 from highway_env.envs import IntersectionEnv
 from highway_env.road.road import RoadNetwork
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.drawn_logical import NORMAL, UNIFORM, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.envs.highway.config_check import STARTS
@@ -39,7 +38,7 @@ class DrawPlace(NamedTuple):
     kind: str
 
 
-class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
     """`num_envs` environments of highway-env in lock-step, whose episodes are given by their random draws.
 
     The compiled engine begins each episode with the draws of its scenario, and drives it. If the first episodes that
@@ -47,10 +46,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     `reset(options={"scenarios": [...], "reset_mask": ...})` begins episodes, and at the end of an episode
     `infos["trace"]` has its trace. Autoreset is disabled.
 
-    Args:
-        env: the environment; its episodes are used up.
-        num_envs: number of sub-environments.
-        rewards: whether rewards are needed; see `behavexplor.envs.highway.highway_vector_env.HighwayVectorEnv`.
+    The episodes of the given environment are used up.
 
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.
@@ -90,13 +86,8 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 return None
         return order
 
-    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Begin episodes.
-
-        Args:
-            seed: has no effect, since the scenarios decide.
-            options: `scenarios`, one for each sub-environment, and `reset_mask`, shape (num_envs,), which selects the
-                sub-environments to reset.
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Begin episodes with the option `scenarios`, one for each slot; `reset_mask`, (num_envs,), selects slots.
 
         Raises:
             InputError: if a scenario is not one of this environment.
@@ -122,7 +113,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             self._log(b, 1)
         return begun
 
-    def _begin_by_highway_env(self, b: int, scenario: DrawnScenario) -> tuple[NDArray[Any], dict[str, Any]]:
+    def _begin_by_highway_env(self, b: int, scenario: DrawnScenario) -> tuple[Array, dict[str, Any]]:
         """Begin an episode of sub-environment b in highway-env, and copy it to the engine."""
         self._env.begin_blindly(scenario)
         self._records[b], self._networks[b] = self._env.record, self._env.inner.road.network
@@ -132,7 +123,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 options={"reset_mask": chosen, "starts": {b: self._env.inner}, "draws": {b: later}}
             )
 
-    def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
+    def step(self, actions: Array) -> tuple[Array, Floats, Bools, Bools, dict[str, Any]]:
         """Take an action in every sub-environment. A sub-environment whose episode has ended rests."""
         rest = self._ended
         for b in np.flatnonzero(~rest).tolist():
@@ -163,11 +154,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
 
 def _engine(env: DrawnEnv, num_envs: int, *, rewards: bool) -> HighwayVectorEnv:
-    """Return the engine for an environment.
-
-    Raises:
-        InputError: if it does not support the environment or its configuration, or cannot make one by its class.
-    """
+    """Return the engine for an environment."""
     kind = type(env.inner)
     try:
         return HighwayVectorEnv(
@@ -217,12 +204,7 @@ def _has_arrived(infos: dict[str, Any], b: int) -> bool | None:
 
 
 def start_order(env: DrawnEnv, scenarios: Iterable[DrawnScenario]) -> tuple[DrawPlace, ...] | None:
-    """Return the order of the draws with which episodes begin; None if it differs from episode to episode.
-
-    Args:
-        env: the environment; its episodes are used up.
-        scenarios: scenarios whose episodes are compared.
-    """
+    """Return the order of the draws with which episodes begin; None if it differs from episode to episode."""
     orders = set()
     for scenario in scenarios:
         env.begin_blindly(scenario)

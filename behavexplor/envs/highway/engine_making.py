@@ -51,15 +51,7 @@ _OF_STARTS: Final = frozenset(  # keys of the config that matter to starts only
 def make_engine(
     env: AbstractEnv, number: int, num_envs: int, *, places_own: bool, most_decisions: int | None
 ) -> Engine:
-    """Return what the episodes of an environment have in common.
-
-    Args:
-        env: the environment, which has been reset.
-        number: number of its kind in `KINDS`.
-        num_envs: number of episodes in lock-step.
-        places_own: whether it makes its own road or vehicles.
-        most_decisions: number of decisions after which an episode is truncated, if there is one.
-    """
+    """Return what the episodes of an environment have in common."""
     kind, world = KINDS[number], make_world(env, goal_lanes(env))
     if isinstance(env, kind.unaware):
         world.templates[OTHER].checks_collisions = False
@@ -105,13 +97,6 @@ def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog)
 def copy_start(env: AbstractEnv, engine: Engine, slots: Slots, b: int, most: int) -> None:
     """Copy the start of an episode to slot b, with the generator if it is numpy's `Generator` on `PCG64`.
 
-    Args:
-        env: an environment that has just been reset.
-        engine: what the episodes have in common; the slot's generator is changed in place.
-        slots: the slots, changed in place.
-        b: the slot.
-        most: greatest number of vehicles and obstacles that a start may have.
-
     Raises:
         InputError: if the environment has another road, or vehicles that the engine does not know.
     """
@@ -137,12 +122,6 @@ def chosen_starts(
 ) -> dict[int, AbstractEnv]:
     """Return the environments of the reset option `starts`, by their slot.
 
-    Args:
-        starts: the option, or None.
-        env_class: the class that they must have.
-        config: the configuration that they must have, besides drawing and what matters to starts only.
-        mask: which slots are reset, shape (B,).
-
     Raises:
         InputError: if a slot is not reset, or an environment is another one.
     """
@@ -159,10 +138,6 @@ def chosen_starts(
 def chosen_draws(draws: object, mask: Bools) -> dict[int, Floats]:
     """Return the reset option `draws`: for each slot an array of shape (n,).
 
-    Args:
-        draws: the option, or None.
-        mask: which slots are reset, shape (B,).
-
     Raises:
         InputError: if a slot is not reset, or the draws are not finite numbers.
     """
@@ -172,8 +147,7 @@ def chosen_draws(draws: object, mask: Bools) -> dict[int, Floats]:
 def with_draws(engine: Engine, mask: Bools, draws: Mapping[int, Floats]) -> Engine:
     """Give draws to some of the slots that are reset, and take those away that the others had.
 
-    Returns:
-        The engine, with more room for draws if that is needed.
+    The engine that is returned has more room for draws if that is needed.
     """
     words = engine.words
     if not draws and words.shape[1] == N_WORDS:  # no slot has had any

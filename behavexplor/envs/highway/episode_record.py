@@ -12,9 +12,15 @@ Beside a crash, highway-env's environments themselves count as a failure:
 
 Where nothing is said, it means nothing: in junctions, a vehicle that drives well leaves its lane for some frames, and
 on a two-way road it may overtake. A subclass counts as its parent does.
+
+The lanes say what the ego does, and where the vehicle is into which it crashes. A vehicle's place is the lane that is
+closest to it, or the one at which it aims if that lies on another road: in a junction, the closest lane is often one
+that only crosses.
 """
 
+import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -25,59 +31,170 @@ from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.merge_env import MergeEnv, MergeGenericEnv
 from highway_env.envs.racetrack_env import RacetrackEnv
 from highway_env.envs.roundabout_env import RoundaboutEnv
+from highway_env.road.lane import AbstractLane
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import RoadObject
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
+from behavexplor.data.conventions import wrapped
 from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.trace import (
     ABSENT,
     ARRIVED,
     CHANGING,
     CRASHED,
+    ELSEWHERE,
+    OBSTACLE,
     OFF_ROAD,
+    ON_ITS_WAY,
     PARTNER,
     PARTNER_LANES,
     WAY,
+    WAYS,
     WRECKS,
     Trace,
 )
 from behavexplor.envs.engine.frame_log import THING
-from behavexplor.envs.engine.lane_network import lane_indexes
+from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
 from behavexplor.envs.engine.state import NO_LANE, Records
 from behavexplor.envs.highway.course import LaneIndex, ego_route
-from behavexplor.envs.highway.driven_lanes import lane_changes, lane_table, partner_places, places
+
+CURVE: Final = 0.5  # a road whose heading changes by more than this is a curve [rad]
+ALONG: Final = math.pi / 4  # greatest angle to the road of a vehicle that drives along it [rad]
+_STATIONS: Final = 9  # at which the heading of a lane is read
+
+
+class LaneTable(NamedTuple):
+    """The L lanes of a road network, in the order of `RoadNetwork.lanes_dict`."""
+
+    road: Ints  # number of each lane's road, shape (L,)
+    number: Ints  # number of each lane on its road, from the left, shape (L,)
+    turn: Floats  # change of each lane's heading from start to end, positive to the right, shape (L,) [rad]
+    way: Ints  # what a vehicle does there, a place in `WAYS`, shape (L,)
+    # how many lanes lane j is to the right of lane i, as far as j is on the road of i or on one of the next two that
+    # follow or precede it; NaN for all others. Shape (L, L).
+    beside: Floats
+
+
+@lru_cache(maxsize=8)
+def lane_table(network: RoadNetwork) -> LaneTable:
+    """Return what is known of the lanes of a road network."""
+    indexes, roads = lane_indexes(network), road_numbers(network)
+    lanes = [network.get_lane(index) for index in indexes]
+    ends = [index[:2] for index in indexes]
+    turn = np.array([_turn(lane) for lane in lanes])
+    curves = {origin: target for (origin, target), angle in zip(ends, turn, strict=True) if abs(angle) > CURVE}
+    ring = frozenset(node for node in curves if _returns(node, curves))
+    way = [WAYS.index(_way(pair, curves, ring, angle)) for pair, angle in zip(ends, turn, strict=True)]
+    road = np.array([roads[pair] for pair in ends])
+    number = np.array([index[2] for index in indexes])
+    return LaneTable(road, number, turn, np.array(way), _beside(lanes, ends, number))
+
+
+def _turn(lane: AbstractLane) -> float:
+    headings = np.unwrap([lane.heading_at(station) for station in np.linspace(0.0, lane.length, _STATIONS)])
+    return float(headings[-1] - headings[0])
+
+
+def _returns(node: str, curves: dict[str, str]) -> bool:
+    """Return whether curves alone lead from a node back to it, as in a roundabout."""
+    passed = [node]
+    while passed[-1] in curves and curves[passed[-1]] not in passed:
+        passed.append(curves[passed[-1]])
+    return curves.get(passed[-1]) == node
+
+
+def _way(ends: tuple[str, str], curves: dict[str, str], ring: frozenset[str], turn: float) -> str:
+    """Return what a vehicle does on the road between two nodes, one of `WAYS`."""
+    origin, target = ends
+    if origin in ring:
+        return "driving-in-the-ring" if curves[origin] == target else "leaving-the-ring"
+    if target in ring:
+        return "entering-the-ring"
+    if abs(turn) < CURVE:
+        return "going-straight"
+    return "turning-right" if turn > 0 else "turning-left"
+
+
+def _beside(lanes: list[AbstractLane], ends: list[tuple[str, str]], number: Ints) -> Floats:
+    """Return `LaneTable.beside`."""
+    count = len(lanes)
+    beside = np.full((count, count), np.nan)
+    follows = np.zeros((count, count), dtype=bool)
+    for i, j in np.ndindex(count, count):
+        if ends[i] == ends[j]:
+            beside[i, j] = number[j] - number[i]
+        elif ends[i][1] == ends[j][0] and abs(_bend(lanes[i], lanes[j])) < math.pi / 2:
+            beside[i, j], follows[i, j] = _lanes_across(lanes[i], lanes[j]), True
+    for i, j in np.argwhere(follows & (beside == 0)).tolist():
+        onward = follows[j] & np.isnan(beside[i])
+        beside[i, onward] = beside[j, onward]
+    return np.where(np.isnan(beside), -beside.T, beside)
+
+
+def _bend(lane: AbstractLane, following: AbstractLane) -> float:
+    """Return the angle from the end of a lane to the start of another [rad], which is half a turn where a road ends."""
+    return wrapped(following.heading_at(0.0) - lane.heading_at(lane.length))
+
+
+def _lanes_across(lane: AbstractLane, following: AbstractLane) -> int:
+    """Return how many lanes the start of a lane is to the right of the end of another."""
+    x, y = following.position(0.0, 0.0) - lane.position(lane.length, 0.0)
+    heading = lane.heading_at(lane.length)
+    across: float = (y * math.cos(heading) - x * math.sin(heading)) / lane.width_at(lane.length)
+    return round(across)
+
+
+def places(table: LaneTable, lane: Ints, target: Ints) -> Ints:
+    """Return the place of a vehicle in each frame: its lane, or the one at which it aims on another road."""
+    return np.where((target != NO_LANE) & (table.road[target] != table.road[lane]), target, lane)
+
+
+def lane_changes(table: LaneTable, lane: Ints, target: Ints) -> Ints:
+    """Return in which frames a vehicle changes lanes, shape (T,): -1 to the left, 1 to the right, 0 if it does not.
+
+    A change begins when the vehicle aims at another lane of the same road, and ends when that is the closest one. For a
+    vehicle that aims at none, it is the moment at which another lane of the road is the closest.
+    """
+    aim = np.where(target == NO_LANE, lane, target)
+    changing = np.zeros(len(aim), dtype=np.int64)
+    begins = 1 + np.flatnonzero((np.diff(aim) != 0) & (np.diff(table.road[aim]) == 0))
+    there = np.append(np.flatnonzero(lane == aim), len(aim) - 1)
+    for begin in begins.tolist():
+        end = int(there[np.searchsorted(there, begin)])
+        changing[begin:] = 0
+        changing[begin : end + 1] = np.sign(table.number[aim[begin]] - table.number[aim[begin - 1]])
+    return changing
+
+
+def partner_places(table: LaneTable, place: Ints, partner: Ints, turned: Floats) -> tuple[Ints, Floats]:
+    """Return where the partner of a crash is in each frame, and how many lanes to the right of the ego, each (T,).
+
+    The former is `ELSEWHERE`, `ON_ITS_WAY` or `OBSTACLE`. The place of an obstacle is `NO_LANE`; `turned` is its
+    heading relative to the ego's [rad].
+    """
+    beside = table.beside[place, partner]
+    angle = np.abs(np.remainder(turned + np.pi, 2 * np.pi) - np.pi)
+    along: Bools = angle < ALONG + np.abs(table.turn[place]) + np.abs(table.turn[partner])
+    is_near = ~np.isnan(beside) & along
+    where = np.where(partner == NO_LANE, OBSTACLE, np.where(is_near, ON_ITS_WAY, ELSEWHERE))
+    return where, np.where(where == ON_ITS_WAY, beside, 0.0)
+
 
 _NAMES: Final = ("x", "y", "heading", "speed", "lane", "target_lane")  # fields of `THING`
 _WITH_BORDERS: Final = (HighwayEnv, MergeEnv, MergeGenericEnv, ExitEnv, RacetrackEnv)
 
 
 class Frame(NamedTuple):
-    """What is on the road at one moment.
+    """What is on the road at one moment."""
 
-    Attributes:
-        things: the vehicles and obstacles, shape (n,) of `behavexplor.envs.engine.frame_log.THING`.
-        ego: the ego's place among them.
-        is_on_road: highway-env's `on_road` of the ego.
-    """
-
-    things: Records
-    ego: int
-    is_on_road: bool
+    things: Records  # the vehicles and obstacles, shape (n,) of `behavexplor.envs.engine.frame_log.THING`
+    ego: int  # the ego's place among them
+    is_on_road: bool  # highway-env's `on_road` of the ego
 
 
 class EpisodeRecord:
-    """The frames and decisions of an episode.
-
-    Args:
-        env: the environment, which has been reset.
-        route: lanes of the ego's route at the start; empty if the environment plans none.
-
-    Attributes:
-        frames: the frames.
-        sizes: length and width of each vehicle and obstacle by its number [m].
-    """
+    """The frames and decisions of an episode."""
 
     def __init__(self, env: AbstractEnv, route: Sequence[LaneIndex]) -> None:
         self._route = tuple(route)
@@ -101,12 +218,7 @@ class EpisodeRecord:
             self._arrivals.append((len(self.frames) - 1, arrived))
 
     def trace(self, network: RoadNetwork, *, terminated: bool) -> Trace:
-        """Return the trace of the episode. It ends with the frame in which the ego crashes, if it does.
-
-        Args:
-            network: the road network.
-            terminated: whether the environment terminated the episode, rather than that its time ran out.
-        """
+        """Return the trace of the episode, which ends with the frame in which the ego crashes, if it does."""
         things = [frame.things for frame in self.frames]
         ego = int(things[0]["number"][self.frames[0].ego])
         numbers = np.array([ego, *(number for number in self.sizes if number != ego)])
@@ -151,14 +263,8 @@ class EpisodeRecord:
         )
         return trace.until(count, "collision") if crashed[:, 0].any() else trace
 
-    def _signals(self, crashed: NDArray[np.bool_], driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
-        """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it.
-
-        Args:
-            crashed: whether the ego has crashed, in every frame.
-            driven: the ego's lane in every frame.
-            count: number of frames that the trace keeps.
-        """
+    def _signals(self, crashed: Bools, driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
+        """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it."""
         signals = {CRASHED: crashed.astype(np.float64)}
         if self._leaving_matters:
             signals[OFF_ROAD] = np.array([not frame.is_on_road for frame in self.frames], dtype=np.float64)
@@ -181,14 +287,7 @@ class EpisodeRecord:
 
 
 class Watch:
-    """Watches a highway-env environment, and records every frame of an episode.
-
-    Args:
-        env: the environment, which has just been reset.
-
-    Attributes:
-        record: the record of the episode.
-    """
+    """Watches a highway-env environment that has just been reset, and records every frame of an episode."""
 
     def __init__(self, env: AbstractEnv) -> None:
         self._things: dict[int, tuple[int, RoadObject]] = {}  # keeps the objects alive, since their identity is the key
@@ -220,18 +319,11 @@ class Watch:
         return number, *pose, lanes.get(lane, NO_LANE), lanes.get(target, NO_LANE), bool(thing.crashed)
 
 
-def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: int) -> dict[str, NDArray[Any]]:
-    """Return the signals that the lanes tell; see `behavexplor.envs.highway.driven_lanes`.
-
-    Args:
-        network: the road network.
-        lanes: the closest lane of each vehicle, and the one at which it aims, shape (2, T, N).
-        heading: headings, shape (T, N) [rad].
-        partner: the vehicle into which the ego crashes; -1 for none.
-    """
+def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: int) -> dict[str, Array]:
+    """Return the signals that the lanes tell; see `behavexplor.envs.highway.episode_record`."""
     table = lane_table(network)
     place = places(table, *lanes[:, :, 0])
-    signals: dict[str, NDArray[Any]] = {CHANGING: lane_changes(table, *lanes[:, :, 0]), WAY: table.way[place]}
+    signals: dict[str, Array] = {CHANGING: lane_changes(table, *lanes[:, :, 0]), WAY: table.way[place]}
     if partner > 0:
         turned = heading[:, partner] - heading[:, 0]
         where, beside = partner_places(table, place, places(table, *lanes[:, :, partner]), turned)
@@ -239,7 +331,7 @@ def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: i
     return signals
 
 
-def _partner(position: Floats, heading: Floats, size: Floats, crashed: NDArray[np.bool_]) -> int:
+def _partner(position: Floats, heading: Floats, size: Floats, crashed: Bools) -> int:
     """Return the vehicle or obstacle with which the ego crashed; -1 without a crash.
 
     highway-env does not tell it. It is the nearest of those that have crashed by the frame of the ego's crash.

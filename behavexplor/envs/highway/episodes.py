@@ -5,7 +5,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats, Ints, Singles
+from behavexplor.data.array_types import Array, Bools, Floats, Ints, Singles
 from behavexplor.envs.engine.frame_log import FrameLog, log_frame
 from behavexplor.envs.engine.frames import give_command, run_frames
 from behavexplor.envs.engine.lane_network import Network
@@ -31,50 +31,33 @@ class StepResults(NamedTuple):
     """What B egos observed and received in their latest decision.
 
     Few arrays with many rows are copied faster than many arrays.
-
-    Attributes:
-        observations: shape (B, rows, columns): vehicles and features, or speeds times lanes and times.
-        memory: for the observation TimeToCollision.
-        numbers: the rewards, the egos' speeds [m/s] and the terms of the rewards, shape (N_NUMBERS, B).
-        flags: whether each episode is terminated, whether it is truncated, whether the latest call of `advance` took an
-            action in it, whether the ego has crashed, and whether each term is other than 0, shape (N_FLAGS, B).
-        log: the frames of the decision, or nothing if it has no room for them.
     """
 
-    observations: Singles
-    memory: GridMemory
-    numbers: Floats
+    observations: Singles  # shape (B, rows, columns): vehicles and features, or speeds times lanes and times
+    memory: GridMemory  # for the observation TimeToCollision
+    numbers: Floats  # the rewards, the egos' speeds [m/s] and the terms of the rewards, shape (N_NUMBERS, B)
+    # whether each episode is terminated, whether it is truncated, whether the latest call of `advance` took an action
+    # in it, whether the ego has crashed, and whether each term is other than 0, shape (N_FLAGS, B)
     flags: Bools
-    log: FrameLog
+    log: FrameLog  # the frames of the decision, or nothing if it has no room for them
 
 
 class Engine(NamedTuple):
-    """What an environment's episodes have in common, and their random generators.
+    """What an environment's episodes have in common, and their random generators."""
 
-    Attributes:
-        world: the road and the vehicles' classes.
-        task: starts, rewards and ends.
-        observed: options of the observation.
-        words: the generators, shape (B, 6); see `behavexplor.envs.engine.pcg64`.
-    """
-
-    world: World
-    task: Task
-    observed: View
-    words: Words
+    world: World  # the road and the vehicles' classes
+    task: Task  # starts, rewards and ends
+    observed: View  # options of the observation
+    words: Words  # the generators, shape (B, 6); see `behavexplor.envs.engine.pcg64`
 
 
 class Actions(NamedTuple):
-    """The actions of B egos, as a choice of commands.
+    """The actions of B egos, as a choice of commands."""
 
-    Attributes:
-        commands: the commands; see `behavexplor.envs.engine.frames.give_command`, shape (n, 2). They are the same
-            at all times if the actions are discrete. Otherwise, each ego has its own.
-        choices: the number of each ego's command, shape (B,).
-    """
-
+    # the commands; see `behavexplor.envs.engine.frames.give_command`, shape (n, 2). They are the same at all times if
+    # the actions are discrete. Otherwise, each ego has its own.
     commands: Floats
-    choices: Ints
+    choices: Ints  # the number of each ego's command, shape (B,)
 
 
 @kernel_in_place
@@ -92,20 +75,10 @@ def advance(
 
     One kernel does all of this, because each function that is compiled on its own takes seconds more.
 
-    Args:
-        engine: the environment.
-        slots: the episodes, changed in place.
-        scratch: memory that is used within a frame.
-        outcome: changed in place.
-        chosen: whether each slot is advanced, shape (B,).
-        actions: the egos' actions.
-        stage: DECISION, in which episodes that have ended rest; BEGINNING begins episodes; LOOK observes and judges
-            those that have been begun elsewhere.
-        logs_start: whether the start is logged as the first frame.
-
-    Returns:
-        The number of these slots whose episode has ended. If a choice is none of the commands, it is REFUSED, and if
-        the vehicles of a slot would not have room in it, FULL. Nothing has changed then.
+    DECISION is a stage in which episodes that have ended rest; BEGINNING begins episodes; LOOK observes and judges
+    those that have been begun elsewhere. With `logs_start`, the start is logged as the first frame. Return the number
+    of chosen slots whose episode has ended. If a choice is none of the commands, it is REFUSED, and if the vehicles of
+    a slot would not have room in it, FULL; nothing has changed then.
     """
     refusal = _refusal(engine.task, slots, chosen, actions, stage)
     if refusal < 0:
@@ -220,17 +193,10 @@ def _judge(world: World, task: Task, scene: Scene, choice: int, numbers: Floats,
     flags[TRUNCATED] = flags[STEPPED] and is_late
 
 
-def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: NDArray[Any], chosen: Bools) -> dict[str, Any]:
+def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chosen: Bools) -> dict[str, Any]:
     """Return the infos of highway-env's single environments as gymnasium's vector environments collect them.
 
     The infos consist of parts of the given arrays, in which what is not chosen becomes 0.
-
-    Args:
-        kind: the kind of task.
-        numbers: a copy of `StepResults.numbers`.
-        flags: a copy of `StepResults.flags`.
-        actions: a copy of the egos' actions, shape (B, ...).
-        chosen: which sub-environments have an info, shape (B,).
     """
     beside = None if all(chosen.tolist()) else ~chosen
     if beside is not None:
@@ -268,11 +234,11 @@ def _success(is_success: Bools, stepped: Bools) -> dict[str, Any]:
     return {"is_success": is_success & stepped, "_is_success": stepped} if np.count_nonzero(stepped) else {}
 
 
-def _flag(values: Bools, wanted: type, beside: Bools | None) -> NDArray[Any]:
+def _flag(values: Bools, wanted: type, beside: Bools | None) -> Array:
     return values if wanted is bool else _without(values.astype(object), beside)
 
 
-def _tuples(values: NDArray[Any], beside: Bools | None) -> NDArray[np.object_]:
+def _tuples(values: Array, beside: Bools | None) -> NDArray[np.object_]:
     """Return each value as a tuple of one, as highway-env's multi-agent environments have it."""
     return _without(np.fromiter(zip(values.tolist(), strict=True), dtype=object), beside)
 

@@ -19,9 +19,8 @@ from typing import Any, Final
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Array, Floats, Ints
 from behavexplor.data.drawn_logical import NORMAL, UNIFORM
 from behavexplor.errors import InputError
 
@@ -169,7 +168,7 @@ class DrawnGenerator(np.random.Generator):
         own = np.random.default_rng(words)
         return own.standard_normal() if kind == NORMAL else own.random()
 
-    def _choices(self, n: int, count: int, native: Callable[[np.random.Generator, int], Any]) -> NDArray[np.int64]:
+    def _choices(self, n: int, count: int, native: Callable[[np.random.Generator, int], Any]) -> Ints:
         """Return choices among n, shape (count,). A choice among one is no draw."""
         if n < 1:
             raise ValueError("a choice needs at least one possibility")
@@ -180,7 +179,7 @@ class DrawnGenerator(np.random.Generator):
         )
         return np.minimum((forms * n).astype(np.int64), n - 1)
 
-    def _weighted(self, p: Floats, count: int) -> NDArray[np.int64]:
+    def _weighted(self, p: Floats, count: int) -> Ints:
         """Return choices with the probabilities p, shape (count,)."""
         upper = np.cumsum(p)
         upper /= upper[-1]
@@ -193,25 +192,23 @@ class DrawnGenerator(np.random.Generator):
         forms = self._named(self._path.name(), UNIFORM, count, native)
         return np.minimum(np.searchsorted(upper, forms, side="right"), len(p) - 1)
 
-    def _without_replacement(self, n: int, count: int, *, shuffle: bool) -> NDArray[np.int64]:
+    def _without_replacement(self, n: int, count: int, *, shuffle: bool) -> Ints:
         """Return different choices among n, shape (count,)."""
         return self._picks(
             n, count, self._path.name(), lambda source: source.choice(n, count, replace=False, shuffle=shuffle)
         )
 
-    def _order(self, n: int, dimensions: int) -> NDArray[np.int64]:
+    def _order(self, n: int, dimensions: int) -> Ints:
         """Return the order of n shuffled rows, shape (n,). The number of dimensions decides how numpy shuffles."""
 
-        def native(source: np.random.Generator) -> NDArray[np.int64]:
+        def native(source: np.random.Generator) -> Ints:
             rows = np.arange(n).reshape(n, *[1] * (dimensions - 1))
             source.shuffle(rows)
             return rows.ravel()
 
         return self._picks(n, n, self._path.name(), native)
 
-    def _picks(
-        self, n: int, count: int, name: str, native: Callable[[np.random.Generator], NDArray[Any]]
-    ) -> NDArray[np.int64]:
+    def _picks(self, n: int, count: int, name: str, native: Callable[[np.random.Generator], Array]) -> Ints:
         """Pick `count` of n things one after the other: the standard form of each pick is its place among the rest."""
         sizes = n - np.arange(count)
 
@@ -250,7 +247,7 @@ def _count(size: Any) -> int:
     return 1 if size is None else int(np.prod(size, dtype=np.int64))
 
 
-def _shaped(values: NDArray[Any], size: Any) -> Any:
+def _shaped(values: Array, size: Any) -> Any:
     """Return one number if there is no size, or else an array of that shape."""
     return values[0].item() if size is None else values.reshape(size)
 
@@ -268,10 +265,7 @@ class CallPath:
     the fourth call of the function from the same caller. So a draw keeps its name when another vehicle is rejected and
     draws less than before.
 
-    Args:
-        root: source file of the caller of the environment. Calls above it, and calls from the places in `skipped`,
-            have no part in a name.
-        skipped: folders or source files whose calls have no part in a name.
+    Calls above the source file `root`, and from the folders or files in `skipped`, have no part in a name.
     """
 
     def __init__(self, root: str, skipped: tuple[str, ...]) -> None:

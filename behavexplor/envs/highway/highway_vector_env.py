@@ -13,10 +13,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers import TimeLimit
 from highway_env.envs.common.abstract import AbstractEnv
-from numpy.typing import NDArray
 
 from behavexplor import HIGHWAY_ENV
-from behavexplor.data.array_types import Bools, Floats
+from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.envs.engine.actions import check_actions, command_table, make_commands
 from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.lock_step import LockStepVectorEnv
@@ -106,7 +105,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
         self._is_discrete = table is not None
         self._actions = episodes.Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
-        self._shown: NDArray[Any] = self._sampled_space.sample()  # the actions that infos show
+        self._shown: Array = self._sampled_space.sample()  # the actions that infos show
         self._is_seeded = np.zeros(num_envs, dtype=bool)
         self._advance_slots = self._compile()
 
@@ -133,7 +132,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
             self._engine.words[b, :N_WORDS] = generator_words(seeding.np_random(seed)[0])
         self._is_seeded[b] = True
 
-    def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
+    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools]:
         self._advance(episodes.DECISION, self._everywhere, actions)
         self._shown = actions.copy()
         self._decided = numbers, flags = self._outcome.numbers.copy(), self._outcome.flags.copy()
@@ -161,17 +160,10 @@ class HighwayVectorEnv(LockStepVectorEnv):
         draws: Mapping[int, Floats] = MappingProxyType({}),
         logs_start: bool = False,
     ) -> None:
-        """Begin episodes in the chosen slots, shape (num_envs,).
-
-        Args:
-            mask: the chosen slots, shape (num_envs,).
-            starts: the starts of some of them.
-            draws: the draws of some of them.
-            logs_start: whether the frame log shows the starts.
-        """
-        actions: NDArray[Any] = self._sampled_space.sample()
+        """Begin episodes in the chosen slots, shape (num_envs,)."""
+        actions: Array = self._sampled_space.sample()
         own = mask.copy()
-        seen: dict[int, NDArray[Any]] = {}
+        seen: dict[int, Array] = {}
         for b, env in starts.items():
             own[b] = False
             engine_making.copy_start(env, self._engine, self._slots, b, self._most_at_start)
@@ -195,12 +187,8 @@ class HighwayVectorEnv(LockStepVectorEnv):
         state = (self._engine, self._slots, self._scratch, self._outcome)
         return compiled_for(episodes.advance, *state, self._everywhere, self._actions, episodes.DECISION, False)
 
-    def _advance(self, stage: int, mask: Bools, actions: NDArray[Any], *, logs_start: bool = False) -> int:
-        """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended.
-
-        Raises:
-            InputError: if the actions are not in the action space, or the vehicles of an episode have no room.
-        """
+    def _advance(self, stage: int, mask: Bools, actions: Array, *, logs_start: bool = False) -> int:
+        """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended."""
         self._put(actions)
         state = (self._engine, self._slots, self._scratch, self._outcome)
         n_ended = self._advance_slots(*state, mask, self._actions, stage, logs_start)
@@ -210,12 +198,8 @@ class HighwayVectorEnv(LockStepVectorEnv):
             raise InputError(f"An episode has more vehicles than the {self._slots.vehicles.shape[1]} that have room")
         return n_ended
 
-    def _put(self, actions: NDArray[Any]) -> None:
-        """Hand actions to the kernel, which itself refuses discrete actions that are out of range.
-
-        Raises:
-            InputError: if the actions are not in the action space otherwise.
-        """
+    def _put(self, actions: Array) -> None:
+        """Hand actions to the kernel, which itself refuses discrete actions that are out of range."""
         if not self._is_discrete:
             check_actions(self.action_space, actions)
             self._actions.commands[:] = self._commands(actions)
@@ -224,7 +208,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
             check_actions(self.action_space, actions)
         self._actions.choices[:] = actions
 
-    def _copy_starts(self, mask: Bools) -> dict[int, NDArray[Any]]:
+    def _copy_starts(self, mask: Bools) -> dict[int, Array]:
         """Let highway-env begin episodes, copy them to the chosen slots, and return its observations by their slot."""
         env, seen = self._single, {}
         with kept_parameters():
@@ -240,10 +224,6 @@ def vector_env(env_class: type[AbstractEnv], **arguments: Any) -> VectorEnv[Any,
 
     If the classes that run are not those that the compiled engine was ported from, because this program has replaced a
     method or highway-env is another release, highway-env itself runs, and a warning says so.
-
-    Args:
-        env_class: the environment.
-        arguments: see `HighwayVectorEnv`.
 
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.

@@ -36,9 +36,6 @@ _MAKERS: Final = ("_create_vehicles", "_make_vehicles")  # methods of highway-en
 def widen(env: AbstractEnv) -> None:
     """Give an environment wide traffic from its next reset on.
 
-    Args:
-        env: the environment, which has been reset.
-
     Raises:
         InputError: if the environment places its vehicles in an unknown way, or begins without other vehicles that
             could be placed elsewhere.

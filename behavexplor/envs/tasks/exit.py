@@ -5,8 +5,8 @@ from types import MappingProxyType
 import numpy as np
 from highway_env.envs.exit_env import ExitEnv
 from highway_env.road.road import LaneIndex
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.envs.engine.pcg64 import Words, weighted
 from behavexplor.envs.engine.state import Scene
 from behavexplor.envs.engine.world import AS_EGO, AS_OTHER, World, plan_route
@@ -21,11 +21,11 @@ def _is_goal(index: LaneIndex, config: Config) -> bool:
     return index in (("1", "2", config["lanes_count"]), ("2", "exit", 0))
 
 
-def _lane_shares(config: Config) -> NDArray[np.float64]:
+def _lane_shares(config: Config) -> Floats:
     """Return the cumulated probabilities of the lanes on which other vehicles start, shape (lanes,)."""
     shares = np.arange(config["lanes_count"])
     cumulated = (shares / shares.sum()).cumsum()
-    found: NDArray[np.float64] = cumulated / cumulated[-1]
+    found: Floats = cumulated / cumulated[-1]
     return found
 
 

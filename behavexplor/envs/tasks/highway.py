@@ -75,17 +75,7 @@ def start(world: World, task: Task, scene: Scene, words: Words) -> None:
 
 @kernel_inner
 def place_in_front(world: World, task: Task, scene: Scene, words: Words, template: int, lane: int, speed: float) -> int:
-    """Add a vehicle in front of all others, as seen from a lane: `Vehicle.create_random`.
-
-    Args:
-        world: the road and the vehicles' classes.
-        task: the spacing.
-        scene: the episode, changed in place.
-        words: its random generator, changed in place.
-        template: AS_EGO or AS_OTHER, the vehicle's class.
-        lane: the lane.
-        speed: speed [m/s].
-    """
+    """Add a vehicle in front of all others, as seen from a lane: `Vehicle.create_random`."""
     rules = task.rules[0]
     offset = (rules.ego_spacing if template == AS_EGO else rules.spacing) * (12 + 1.0 * speed) * rules.lane_factor
     station = 3 * offset

@@ -39,14 +39,7 @@ def goal_lanes(env: AbstractEnv) -> Callable[[LaneIndex], bool]:
 
 @kernel_inner
 def start(world: World, task: Task, scene: Scene, words: Words) -> None:
-    """Place the first vehicles and the obstacles of an episode: `AbstractEnv._reset`.
-
-    Args:
-        world: the road and the vehicles' classes.
-        task: the environment's starts.
-        scene: the episode, changed in place.
-        words: its random generator, changed in place; see `behavexplor.envs.engine.pcg64`.
-    """
+    """Place the first vehicles and the obstacles of an episode: `AbstractEnv._reset`."""
     episode, number = scene.episode, task.rules[0].number
     episode.n_vehicles = episode.n_obstacles = episode.n_numbered = 0
     episode.ego = episode.frames = episode.road_frames = 0

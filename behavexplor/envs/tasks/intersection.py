@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 from highway_env.envs.intersection_env import IntersectionEnv
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.envs.engine.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.pcg64 import FOUR, NEXT_FORM, THREE, Words, integer, is_given, normal, two_of, uniform
@@ -35,7 +35,7 @@ def _put_starts(row: Any, config: Config) -> None:
         row.ego_destination = _DESTINATIONS.index(config["destination"])
 
 
-def _gaps(config: Config) -> NDArray[np.float64]:
+def _gaps(config: Config) -> Floats:
     """Return the offsets along the lanes of the vehicles that are there from the start [m], shape (n,)."""
     count = config["initial_vehicle_count"]
     return np.linspace(0, 80, count)[: count - 1].copy()
@@ -109,14 +109,8 @@ def _spawn_vehicle(
 
     If draws are given, there are `N_DRAWS` for each call, also for one that needs less because no vehicle appears.
 
-    Args:
-        world: the road and the vehicles' classes.
-        task: the environment's starts.
-        scene: the episode, changed in place.
-        words: its random generator, changed in place.
-        station: station about which it appears [m].
-        probability: probability that it appears, unless there is no room.
-        is_challenger: whether it goes straight on, and starts at nearly the same place and speed every time.
+    It appears about a station [m], with a probability unless there is no room. A challenger goes straight on, and
+    starts at nearly the same place and speed every time.
     """
     first, given = words[NEXT_FORM], is_given(words)
     _spawn(world, task, scene, words, station, probability, is_challenger)

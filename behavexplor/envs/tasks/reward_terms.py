@@ -37,16 +37,7 @@ _DEFAULT_SPEEDS: Floats = MDPVehicle.DEFAULT_TARGET_SPEEDS.astype(np.float64)
 
 @kernel_inner
 def put_terms(world: World, rules: Any, terms: Records, scene: Scene, changes_lane: bool, values: Floats) -> None:
-    """Compute the terms of the reward.
-
-    Args:
-        world: the environment's road.
-        rules: the record of `Task.rules`.
-        terms: the terms, shape (n,) of `TERM`.
-        scene: the episode.
-        changes_lane: whether highway-env takes the action for a change of lane.
-        values: filled with their values, at least shape (n,).
-    """
+    """Compute the terms of the reward into `values`; `changes_lane` says whether the action is a change of lane."""
     for k in range(len(terms)):
         values[k] = _value(world, rules, terms[k].code, scene, changes_lane)
 
@@ -111,13 +102,7 @@ def _slowness_on_goal(world: World, scene: Scene) -> float:
 
 @kernel_inner
 def reward_of(rules: Any, terms: Records, values: Floats) -> float:
-    """Compute the reward from the values of its terms.
-
-    Args:
-        rules: the record of `Task.rules`.
-        terms: the terms, shape (n,) of `TERM`.
-        values: their values, at least shape (n,).
-    """
+    """Compute the reward from the values of its terms."""
     reward = 0.0
     for k in range(len(terms)):
         reward += terms[k].weight * values[k]

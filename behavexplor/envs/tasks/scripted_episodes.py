@@ -7,9 +7,8 @@ import numpy as np
 from highway_env.envs.common.action import ContinuousAction, DiscreteAction, DiscreteMetaAction
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats, Ints
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.data.npc_motion import N_COLUMNS
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
@@ -30,18 +29,7 @@ _ALL: Final = np.ones(1, dtype=bool)
 
 
 class ScriptedEpisodes:
-    """Episodes of an environment in lock-step, one in each slot.
-
-    Args:
-        env: a `behavexplor.envs.driving.DrivingEnv`, whose map, rules, actions and observations these episodes have.
-        n_slots: number of slots.
-
-    Attributes:
-        slots: the state.
-        world: the map and the rules.
-        observes: whether the engine knows this observation.
-        observations: the latest observations, shape (n_slots, ...).
-    """
+    """Episodes of a `DrivingEnv` in lock-step, one in each slot, with its map, rules, actions and observations."""
 
     def __init__(self, env: Any, n_slots: int) -> None:
         self.logical, self.world = env.logical, make_world(env)
@@ -57,7 +45,7 @@ class ScriptedEpisodes:
         self._seen = self._observed(env.observation_type)
         self.observes = bool(self._seen)
         shape, kind = (env.observation_space.shape or (), env.observation_space.dtype) if self._seen else ((), None)
-        self.observations: NDArray[Any] = np.zeros((n_slots, *shape), dtype=kind)
+        self.observations: Array = np.zeros((n_slots, *shape), dtype=kind)
         self._compile(n_slots)
 
     @property
@@ -73,11 +61,7 @@ class ScriptedEpisodes:
         return speeds
 
     def begin(self, chosen: Ints, scenarios: Iterable[ScriptedScenario]) -> None:
-        """Begin episodes.
-
-        Args:
-            chosen: the slots, shape (E,).
-            scenarios: a scenario for each of them.
+        """Begin episodes in the chosen slots, shape (E,), with a scenario for each.
 
         Raises:
             InputError: if a scenario has no room in a slot. No episode has begun then.
@@ -86,16 +70,10 @@ class ScriptedEpisodes:
         if not self._begin_slots(self.world, self.slots, chosen, *npcs):
             raise InputError(f"A scenario has more than {self.slots.scripts.shape[1]} NPCs, for which there is room")
 
-    def decide(self, actions: NDArray[Any], active: Bools, n_frames: int = WHOLE) -> Bools:
-        """Simulate one decision in each active slot.
+    def decide(self, actions: Array, active: Bools, n_frames: int = WHOLE) -> Bools:
+        """Simulate one decision in each active slot; return whether each has ended, and been truncated, (2, n_slots).
 
-        Args:
-            actions: one for each slot, shape (n_slots, ...).
-            active: the slots whose episodes go on, shape (n_slots,).
-            n_frames: greatest number of frames; see `behavexplor.envs.tasks.scripted_step.step`.
-
-        Returns:
-            Whether each episode is terminated, and whether it is truncated, shape (2, n_slots).
+        At most `n_frames` frames are simulated; see `behavexplor.envs.tasks.scripted_step.step`.
 
         Raises:
             InputError: if the record of an episode has no room for it.
@@ -162,13 +140,7 @@ class ScriptedEpisodes:
 
 
 def odd_method(env: Any, known: type, free: frozenset[str] = frozenset()) -> str | None:
-    """Return a method that an environment's class overrides; None if there is none.
-
-    Args:
-        env: the environment.
-        known: the class whose methods the engine stands for.
-        free: names of methods for which it does not.
-    """
+    """Return a method that a class overrides, but for free names; None if there is none."""
     rule = replaced(type(env), known, free | {"logical"})
     return rule and f"the method {rule}"
 
@@ -192,11 +164,7 @@ def odd_action(action: Any) -> str | None:
 
 
 class OneSlot:
-    """An episode in the only slot of the engine.
-
-    Args:
-        env: the `behavexplor.envs.driving.DrivingEnv`, which has vehicles.
-    """
+    """An episode of a `behavexplor.envs.driving.DrivingEnv` in the only slot of the engine."""
 
     def __init__(self, env: Any) -> None:
         self._episodes = ScriptedEpisodes(env, 1)
@@ -226,7 +194,7 @@ class OneSlot:
         """Simulate a decision, or a part of it; see `ScriptedEpisodes.decide`."""
         self._episodes.decide(np.asarray(action)[None], _ALL, n_frames)
 
-    def observation(self) -> NDArray[Any]:
+    def observation(self) -> Array:
         """Return the observation of the current state."""
         self._episodes.observe(_ALL)
         return np.array(self._episodes.observations[0])

@@ -6,12 +6,11 @@ The reward is a sum of terms for R1-R3, progress, time and effort; see `behavexp
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bools, Floats, Ints
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import ENDS, RESOLUTION, Trace
@@ -54,17 +53,10 @@ def episode_trace(
     action_frames: Ints,
     end: str,
 ) -> Trace:
-    """Build the trace of a finished episode of T frames.
+    """Build the trace of a finished episode of T frames, in which the given sizes become part.
 
-    Args:
-        roadmap: the map.
-        time: time of each frame, shape (T,) [s].
-        ego: the ego's poses, shape (T,) of `POSE`.
-        motion: the NPCs' motion table, shape (T, n_npcs, 5).
-        sizes: length and width of the ego and of every NPC, shape (1 + n_npcs, 2) [m]; it becomes part of the trace.
-        actions: the commands, shape (D, A).
-        action_frames: frame at which each command was given, shape (D,).
-        end: kind of end, one of `behavexplor.data.trace.ENDS`.
+    The ego has poses, shape (T,) of `POSE`; the NPCs have a motion table, shape (T, n_npcs, 5); the actions, shape (D,
+    A), were given at some of the frames, shape (D,).
     """
     shape = len(time), len(sizes)
     position, heading, velocity = np.empty((*shape, 2)), np.empty(shape), np.empty((*shape, 2))
@@ -89,7 +81,7 @@ def episode_trace(
     )
 
 
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+def _read_only(array: Array) -> Array:
     array.setflags(write=False)
     return array
 
@@ -106,17 +98,9 @@ def fill_record(
 ) -> bool:
     """Fill in the motion of all vehicles, the ego first, in multiples of the resolution of traces.
 
-    Args:
-        ego: poses of the ego, shape (T,) of `POSE`.
-        motion: the NPCs' motion table, shape (T, n_npcs, 5).
-        directions: cosine and sine of the NPCs' headings, shape (2, T, n_npcs).
-        resolution: resolution of traces.
-        position: positions, shape (T, 1 + n_npcs, 2).
-        heading: headings, shape (T, 1 + n_npcs).
-        velocity: velocities, shape (T, 1 + n_npcs, 2).
-
-    Returns:
-        Whether the ego's motion is finite.
+    The motion table has the shape (T, n_npcs, 5), and `directions` the cosine and sine of the NPCs' headings, (2, T,
+    n_npcs). Position, heading and velocity are filled, each of 1 + n_npcs vehicles. Return whether the ego's motion is
+    finite.
     """
     is_finite = True
     for t in range(len(ego)):
@@ -142,15 +126,9 @@ def _rounded(value: float, step: float) -> float:
 
 
 def reward_terms(weights: Mapping[str, float], runs: Records, active: Bools) -> Floats:
-    """Compute the terms of the reward of the latest decision. They are 0 in inactive slots.
+    """Compute the terms of the reward of the latest decision, in the order of `TERMS`, shape (8, B).
 
-    Args:
-        weights: weight of each term, such as `WEIGHTS`.
-        runs: what has happened in each slot, shape (B,) of `behavexplor.envs.tasks.scripted_slots.RUN`.
-        active: whether each slot was stepped, shape (B,).
-
-    Returns:
-        The terms in the order of `TERMS`, shape (8, B). Their sum is the reward.
+    They are 0 in inactive slots. Their sum is the reward.
     """
     terms = np.zeros((len(TERMS), len(active)))
     _fill_terms(np.array([weights[name] for name in TERMS]), runs, active, terms)

@@ -48,37 +48,21 @@ SCRIPT: Final = record_type(route=np.int64, n_phases=np.int64, phase=np.int64)
 
 
 class ScriptedSlots(NamedTuple):
-    """B episodes in lock-step, each with an ego and at most N NPCs.
+    """B episodes in lock-step, each with an ego and at most N NPCs."""
 
-    Attributes:
-        state: the vehicles, of which the ego is the first.
-        runs: shape (B,) of `RUN`.
-        scripts: route, number of phases and current phase of every NPC, shape (B, N) of `SCRIPT`.
-        phases: the NPCs' phases of constant acceleration, shape (B, N, phases, 4); see
-            `behavexplor.data.npc_motion.fill_phases`.
-        poses: of the ego in every frame, shape (B, T) of `behavexplor.envs.tasks.scripted_outcome.POSE`.
-        actions: the actions of each decision, shape (B, D, A).
-    """
-
-    state: engine_state.Slots
-    runs: Records
-    scripts: Records
+    state: engine_state.Slots  # the vehicles, of which the ego is the first
+    runs: Records  # shape (B,) of `RUN`
+    scripts: Records  # route, number of phases and current phase of every NPC, shape (B, N) of `SCRIPT`
+    # the NPCs' phases of constant acceleration, shape (B, N, phases, 4); see `behavexplor.data.npc_motion.fill_phases`
     phases: Floats
-    poses: Records
-    actions: Floats
+    poses: Records  # of the ego in every frame, shape (B, T) of `behavexplor.envs.tasks.scripted_outcome.POSE`
+    actions: Floats  # the actions of each decision, shape (B, D, A)
 
 
 def make_slots(
     n_slots: int, n_frames: int, shape_of_actions: tuple[int, int], logical: ScriptedLogicalScenario
 ) -> ScriptedSlots:
-    """Create slots without episodes.
-
-    Args:
-        n_slots: number of slots.
-        n_frames: greatest number of frames of an episode.
-        shape_of_actions: greatest number of decisions of an episode, and the number of values of an action.
-        logical: logical scenario of the scenarios to run.
-    """
+    """Create slots without episodes."""
     npcs, routes = logical.n_npcs, logical.roadmap.npc_routes
     n_phases = 1 + max(len(logical.position_ranges(route)) for route in routes)
     n_steps = max(len(route.lanes) for route in (logical.roadmap.ego_route, *routes))
@@ -108,15 +92,8 @@ def begin_episodes(
 
     Return whether they have room in the slots. If not, nothing is changed.
 
-    Args:
-        world: the environment's map and rules.
-        slots: the slots, changed in place.
-        chosen: the slots, shape (E,).
-        counts: number of NPCs in each episode, shape (E,).
-        routes: row of each NPC's route, shape (n_npcs,), with the NPCs of all episodes.
-        sizes: length and width of each NPC [m], shape (n_npcs, 2).
-        waypoints: position [m] and speed [m/s] of each waypoint, padded with copies of the last one, shape
-            (n_npcs, waypoints, 2).
+    Routes are rows, shape (n_npcs,), sizes of the shape (n_npcs, 2) [m], and waypoints, positions [m] and speeds [m/s],
+    are padded with copies of the last one, shape (n_npcs, waypoints, 2).
     """
     n_npcs = 0
     for k in range(len(chosen)):
@@ -184,14 +161,6 @@ def move_npcs(routes: Routes, vehicles: Records, scripts: Records, phases: Float
     """Move the NPCs of a slot to where they are at a time [s], which never decreases.
 
     Neither the cosine and sine of their headings nor their lanes are updated.
-
-    Args:
-        routes: the routes of NPCs.
-        vehicles: the ego and the NPCs, changed in place.
-        scripts: shape (N,) of `SCRIPT`, changed in place.
-        phases: shape (N, phases, 4).
-        n_npcs: number of NPCs.
-        time: the time [s].
     """
     for i in range(n_npcs):
         script, npc, n = scripts[i], vehicles[1 + i], scripts[i].phase
@@ -204,15 +173,7 @@ def move_npcs(routes: Routes, vehicles: Records, scripts: Records, phases: Float
 
 @kernel_in_place
 def fill_table(routes: Routes, scripts: Records, phases: Floats, time: Floats, table: Floats) -> None:
-    """Fill in the NPCs' motion table of a slot at given times; see `behavexplor.data.npc_motion.motion_table`.
-
-    Args:
-        routes: routes of NPCs.
-        scripts: shape (N,) of `SCRIPT`.
-        phases: their phases, shape (N, phases, 4).
-        time: times [s], shape (T,).
-        table: table of the NPCs that are there, shape (T, n_npcs, 5); changed in place.
-    """
+    """Fill in the motion table, shape (T, n_npcs, 5), of the NPCs in a slot; see `behavexplor.data.npc_motion`."""
     for i in range(table.shape[1]):
         fill_frames(routes, scripts[i].route, phases[i], scripts[i].n_phases, time, table[:, i])
 
@@ -227,13 +188,7 @@ class NPCArrays(NamedTuple):
 
 
 def npc_arrays(scenarios: Sequence[ScriptedScenario], roadmap: RoadMap, n_waypoints: int) -> NPCArrays:
-    """Return the NPCs of scenarios as arrays.
-
-    Args:
-        scenarios: the scenarios, of which each has any number of NPCs.
-        roadmap: their map.
-        n_waypoints: number of waypoints to which those of each NPC are padded.
-    """
+    """Return the NPCs of scenarios as arrays, the waypoints of each padded to `n_waypoints`."""
     index = route_index(roadmap)
     npcs = [npc for scenario in scenarios for npc in scenario.npcs]
     padded = [npc.waypoints + npc.waypoints[-1:] * (n_waypoints - len(npc.waypoints)) for npc in npcs]

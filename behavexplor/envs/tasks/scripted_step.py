@@ -42,16 +42,9 @@ def step(
 
     If the record of an episode has no room for another decision, nothing is changed, and -1 is returned.
 
-    Args:
-        world: the environment's map and rules.
-        slots: the slots, changed in place.
-        actions: the actions, which are only recorded, shape (B, A).
-        commands: acceleration [m/s2] and steering [rad], shape (B, 2). For meta-actions, the first column is the code
-            of the maneuver.
-        active: whether each slot is stepped, shape (B,).
-        ends: whether each episode is terminated, and whether it is truncated, shape (2, B); all False at first.
-        n_frames: greatest number of frames to simulate. If it is less than those of a decision, the next call with the
-            same actions goes on with it.
+    Actions, shape (B, A), are only recorded. Commands are acceleration [m/s2] and steering [rad], shape (B, 2); for
+    meta-actions, the first column is the code of the maneuver. `ends` says whether each episode is terminated and
+    truncated, shape (2, B). If `n_frames` are fewer than a decision has, the next call with the same actions goes on.
     """
     if not _have_room(world, slots, actions, active):
         return -1

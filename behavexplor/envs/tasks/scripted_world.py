@@ -6,9 +6,8 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
 from highway_env.vehicle.kinematics import Vehicle
-from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.conventions import ARRIVAL_DISTANCE, PASSED_DISTANCE, STANDING_SPEED, STANDSTILL_TIME, TERMINAL
 from behavexplor.data.npc_motion import Routes, route_arrays
 from behavexplor.data.roadmap import RoadMap
@@ -50,31 +49,19 @@ PIECE: Final = record_type(  # a lane of the ego's route
 
 
 class ScriptedWorld(NamedTuple):
-    """An environment's map and rules. Row 0 of `routes` and `route_lengths` is the ego's route.
+    """An environment's map and rules. Row 0 of `routes` and `route_lengths` is the ego's route."""
 
-    Attributes:
-        network: the road network.
-        rules: how episodes run and end, shape (1,) of `RULES`.
-        npc_routes: the routes of NPCs.
-        routes: roads and lanes of all routes, shape (1 + routes, steps) of `ROUTE_STEP`.
-        route_lengths: number of steps of each, shape (1 + routes,).
-        ego_route: lanes of the ego's route, shape (steps,) of `PIECE`.
-        illegal_lines: end points of each illegal line, shape (lines, 4) [m].
-        start: x [m], y [m] and heading [rad] of the ego's start, shape (3,).
-        target_speeds: target speeds of meta-actions, shape (speeds,) [m/s].
-        terminal: whether each end of `behavexplor.data.trace.ENDS` terminates an episode; others truncate it.
-    """
-
-    network: Network
-    rules: Records
-    npc_routes: Routes
-    routes: Records
-    route_lengths: Ints
-    ego_route: Records
-    illegal_lines: Floats
-    start: Floats
-    target_speeds: Floats
-    terminal: NDArray[np.bool_]
+    network: Network  # the road network
+    rules: Records  # how episodes run and end, shape (1,) of `RULES`
+    npc_routes: Routes  # the routes of NPCs
+    routes: Records  # roads and lanes of all routes, shape (1 + routes, steps) of `ROUTE_STEP`
+    route_lengths: Ints  # number of steps of each, shape (1 + routes,)
+    ego_route: Records  # lanes of the ego's route, shape (steps,) of `PIECE`
+    illegal_lines: Floats  # end points of each illegal line, shape (lines, 4) [m]
+    start: Floats  # x [m], y [m] and heading [rad] of the ego's start, shape (3,)
+    target_speeds: Floats  # target speeds of meta-actions, shape (speeds,) [m/s]
+    # whether each end of `behavexplor.data.trace.ENDS` terminates an episode; others truncate it
+    terminal: Bools
 
 
 def make_world(env: Any) -> ScriptedWorld:

@@ -60,34 +60,22 @@ TASK: Final = record_type(
 
 
 class Starts(NamedTuple):
-    """Where vehicles start, and their routes.
+    """Where vehicles start, and their routes."""
 
-    Attributes:
-        lanes: the lanes on which vehicles start, shape (starts,).
-        plans: roads of the route from a road to a destination, padded with -1, shape (destinations, roads, steps). The
-            first one is the road itself.
-        numbers: more numbers that the start of this kind of task needs, shape (n,).
-        obstacles: the obstacles, shape (obstacles,) of `VEHICLE`.
-    """
-
-    lanes: Ints
+    lanes: Ints  # the lanes on which vehicles start, shape (starts,)
+    # roads of the route from a road to a destination, padded with -1, shape (destinations, roads, steps). The first one
+    # is the road itself.
     plans: Ints
-    numbers: Floats
-    obstacles: Records
+    numbers: Floats  # more numbers that the start of this kind of task needs, shape (n,)
+    obstacles: Records  # the obstacles, shape (obstacles,) of `VEHICLE`
 
 
 class Task(NamedTuple):
-    """An environment's starts, rewards and ends.
+    """An environment's starts, rewards and ends."""
 
-    Attributes:
-        rules: the numbers, shape (1,) of `TASK`.
-        terms: the terms of the reward, shape (terms,) of `TERM`.
-        starts: where vehicles start, and their routes.
-    """
-
-    rules: Records
-    terms: Records
-    starts: Starts
+    rules: Records  # the numbers, shape (1,) of `TASK`
+    terms: Records  # the terms of the reward, shape (terms,) of `TERM`
+    starts: Starts  # where vehicles start, and their routes
 
 
 def check_discrete(config: Config) -> None:
@@ -102,65 +90,41 @@ def check_discrete(config: Config) -> None:
 
 @dataclass(frozen=True)
 class TaskKind:
-    """A kind of task: one of highway-env's environments with its variants.
+    """A kind of task: one of highway-env's environments with its variants."""
 
-    Attributes:
-        env_classes: the environments; a subclass comes before its parent.
-        terms: code of each term of the reward, in highway-env's order, with the type that it has in `info["rewards"]`.
-            Gymnasium collects values of numpy's own `bool_` in arrays of objects.
-        worst: the rewards whose sum is mapped to 0.
-        best: the rewards whose sum is mapped to 1.
-        is_normalized: whether they are mapped; None: if the config says so.
-        is_clipped: whether a reward that is mapped is clipped to [0, 1].
-        first_gate: name of a term by which the reward is multiplied before it is mapped.
-        gate: name of a term by which it is multiplied in the end.
-        arrival: name of a term at which the reward is the config's value of that name, and the episode ends.
-        arrival_station: station on a goal lane at which the ego has arrived [m].
-        has_newcomers: whether vehicles appear while an episode runs.
-        has_exit: whether there are the lanes of an `ExitObservation`.
-        success: name of a term that says whether a decision was a success, for `info["is_success"]`.
-        has_agents: whether infos have the rewards and ends of each agent.
-        truncates: whether an episode is truncated after the config's `duration`.
-        may_end_off_road: whether the config can end episodes off the road.
-        end_x: where the episode ends, for a config [m].
-        is_goal: whether a lane is one of the goals, for a config.
-        start_lanes: lanes on which vehicles start, for a config.
-        destinations: ends of the routes that are planned.
-        start_numbers: see `Starts.numbers`.
-        n_placed: vehicles with which an episode begins, with the ego; None: 1 + `n_others`.
-        put_starts: puts a config's numbers for the start into the record `TASK`.
-        unaware: environments whose traffic does not look for collisions of its own.
-        keys: keys of the config that only this kind reads, beside its rewards.
-        unread: keys of the default config that highway-env itself does not read.
-        check: checks what only this kind demands of a config, by raising an `InputError`.
-    """
-
-    env_classes: tuple[type[AbstractEnv], ...]
+    env_classes: tuple[type[AbstractEnv], ...]  # the environments; a subclass comes before its parent
+    # code of each term of the reward, in highway-env's order, with the type that it has in `info["rewards"]`. Gymnasium
+    # collects values of numpy's own `bool_` in arrays of objects.
     terms: Mapping[str, tuple[int, type]]
-    start_lanes: Callable[[Config], tuple[LaneIndex, ...]]
-    worst: tuple[str, ...] = ("collision_reward",)
-    best: tuple[str, ...] = ()
-    is_normalized: bool | None = None
-    is_clipped: bool = False
-    first_gate: str | None = None
-    gate: str | None = None
+    start_lanes: Callable[[Config], tuple[LaneIndex, ...]]  # lanes on which vehicles start, for a config
+    worst: tuple[str, ...] = ("collision_reward",)  # the rewards whose sum is mapped to 0
+    best: tuple[str, ...] = ()  # the rewards whose sum is mapped to 1
+    is_normalized: bool | None = None  # whether they are mapped; None: if the config says so
+    is_clipped: bool = False  # whether a reward that is mapped is clipped to [0, 1]
+    first_gate: str | None = None  # name of a term by which the reward is multiplied before it is mapped
+    gate: str | None = None  # name of a term by which it is multiplied in the end
+    # name of a term at which the reward is the config's value of that name, and the episode ends
     arrival: str | None = None
-    arrival_station: float = np.inf
-    has_newcomers: bool = False
-    has_exit: bool = False
-    success: str | None = None
-    has_agents: bool = False
-    truncates: bool = True
-    may_end_off_road: bool = False
-    end_x: Callable[[Config], float] = lambda _: np.inf
+    arrival_station: float = np.inf  # station on a goal lane at which the ego has arrived [m]
+    has_newcomers: bool = False  # whether vehicles appear while an episode runs
+    has_exit: bool = False  # whether there are the lanes of an `ExitObservation`
+    success: str | None = None  # name of a term that says whether a decision was a success, for `info["is_success"]`
+    has_agents: bool = False  # whether infos have the rewards and ends of each agent
+    truncates: bool = True  # whether an episode is truncated after the config's `duration`
+    may_end_off_road: bool = False  # whether the config can end episodes off the road
+    end_x: Callable[[Config], float] = lambda _: np.inf  # where the episode ends, for a config [m]
+    # whether a lane is one of the goals, for a config
     is_goal: Callable[[LaneIndex, Config], bool] = lambda _, __: False
-    destinations: tuple[str, ...] = ()
-    start_numbers: Callable[[Config], Floats] = lambda _: np.zeros(0)
-    n_placed: int | None = None
+    destinations: tuple[str, ...] = ()  # ends of the routes that are planned
+    start_numbers: Callable[[Config], Floats] = lambda _: np.zeros(0)  # see `Starts.numbers`
+    n_placed: int | None = None  # vehicles with which an episode begins, with the ego; None: 1 + `n_others`
+    # puts a config's numbers for the start into the record `TASK`
     put_starts: Callable[[Any, Config], None] = lambda _, __: None
-    unaware: tuple[type[AbstractEnv], ...] = ()
+    unaware: tuple[type[AbstractEnv], ...] = ()  # environments whose traffic does not look for collisions of its own
+    # keys of the config that only this kind reads, beside its rewards
     keys: Mapping[str, Kind] = field(default_factory=lambda: MappingProxyType({}))
-    unread: frozenset[str] = frozenset()
+    unread: frozenset[str] = frozenset()  # keys of the default config that highway-env itself does not read
+    # checks what only this kind demands of a config, by raising an `InputError`
     check: Callable[[Config], None] = lambda _: None
 
     @cached_property
@@ -182,15 +146,7 @@ class TaskKind:
 
 
 def make_task(env: AbstractEnv, number: int, kind: TaskKind, starts: Starts, most_decisions: int | None) -> Task:
-    """Return the starts, rewards and ends of an environment that has been reset.
-
-    Args:
-        env: an environment of this kind.
-        number: number of the kind.
-        kind: the kind.
-        starts: where its vehicles start.
-        most_decisions: number of decisions after which an episode is truncated, if there is one.
-    """
+    """Return the starts, rewards and ends of an environment that has been reset."""
     config = env.config
     rules = np.zeros(1, TASK)
     row = rules.view(np.recarray)[0]
@@ -230,10 +186,7 @@ def no_starts() -> Starts:
 def make_starts(env: AbstractEnv, kind: TaskKind, obstacles: Records) -> Starts:
     """Return where the vehicles of an environment start, and their routes.
 
-    Args:
-        env: an environment that has been reset and makes its road and vehicles as highway-env does.
-        kind: its kind.
-        obstacles: its obstacles, shape (obstacles,) of `VEHICLE`.
+    It makes its road and vehicles as highway-env does.
 
     Raises:
         InputError: if its road has no lanes where vehicles would start.

@@ -7,9 +7,8 @@ import pytest
 
 from behavexplor.ads.road.lane_arrays import LENGTH, direction_on_lane
 from behavexplor.ads.road.path import ego_path
-from behavexplor.ads.rule.beside import Box, box_on_path, is_beside
 from behavexplor.ads.rule.control import LateralProfile, keep_profile
-from behavexplor.ads.rule.prediction import lane_graph
+from behavexplor.ads.rule.prediction import Box, box_on_path, is_beside, lane_graph
 from behavexplor.data.conventions import VEHICLE_SIZES
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.kernel_calls import called_alone

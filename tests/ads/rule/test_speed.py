@@ -8,8 +8,7 @@ import pytest
 from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.option import free_acceleration, plan_speed
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.speed_motions import ACCELERATIONS, Situation
-from behavexplor.ads.rule.speed_search import empty_nodes
+from behavexplor.ads.rule.speed_search import ACCELERATIONS, Situation, empty_nodes
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS, empty_station_time
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.kernel_calls import called_alone

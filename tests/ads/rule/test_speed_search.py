@@ -7,8 +7,9 @@ import pytest
 
 from behavexplor.ads.road.path import ego_path, limit_at
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.speed_motions import (
+from behavexplor.ads.rule.speed_search import (
     ACCELERATIONS,
+    CLOSE,
     FINENESS,
     HARDEST,
     N_SPEED_BINS,
@@ -16,8 +17,9 @@ from behavexplor.ads.rule.speed_motions import (
     STAGES,
     STRONGEST,
     Situation,
+    empty_nodes,
+    search,
 )
-from behavexplor.ads.rule.speed_search import CLOSE, empty_nodes, search
 from behavexplor.ads.rule.station_time import INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS, empty_station_time
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.kernel_calls import called_alone

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.road.path import ego_path, pose_on_path, project_on_path
-from behavexplor.ads.rule.beside import Box, box_on_path
 from behavexplor.ads.rule.control import change_profile, keep_profile
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.prediction import lane_graph
+from behavexplor.ads.rule.prediction import Box, box_on_path, lane_graph
 from behavexplor.ads.rule.station_time import (
     HARD_HIGH,
     HARD_LOW,

@@ -5,7 +5,7 @@ import pytest
 
 from behavexplor.data.trace import ELSEWHERE, OBSTACLE, ON_ITS_WAY, WAYS
 from behavexplor.envs.engine.lane_network import lane_indexes
-from behavexplor.envs.highway.driven_lanes import lane_changes, lane_table, partner_places, places
+from behavexplor.envs.highway.episode_record import lane_changes, lane_table, partner_places, places
 from behavexplor.envs.making import make_env
 
 
