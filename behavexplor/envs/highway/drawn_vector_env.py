@@ -52,9 +52,6 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         num_envs: number of sub-environments.
         rewards: whether rewards are needed; see `behavexplor.envs.highway.highway_vector_env.HighwayVectorEnv`.
 
-    Attributes:
-        engine: the environments without their records.
-
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.
     """
@@ -62,13 +59,13 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def __init__(self, env: DrawnEnv, num_envs: int, *, rewards: bool = False) -> None:
         check_compiled(env, rewards=rewards)
         self._env = env
-        self.engine = _engine(env, num_envs, rewards=rewards)
+        self._engine = _engine(env, num_envs, rewards=rewards)
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.DISABLED}
-        self.single_observation_space = self.engine.single_observation_space
-        self.single_action_space = self.engine.single_action_space
-        self.observation_space = self.engine.observation_space
-        self.action_space = self.engine.action_space
+        self.single_observation_space = self._engine.single_observation_space
+        self.single_action_space = self._engine.single_action_space
+        self.observation_space = self._engine.observation_space
+        self.action_space = self._engine.action_space
         self.logical: DrawnLogicalScenario = env.logical
         self._records: list[Any] = [None] * num_envs
         self._networks: list[RoadNetwork] = [env.inner.road.network] * num_envs
@@ -81,15 +78,15 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Return the order of the draws by which the engine begins episodes; None if only highway-env can."""
         rng = np.random.default_rng(0)
         scenarios = [self.logical.sample(rng) for _ in range(_COMPARED)]
-        order = None if self.engine.places_own else start_order(self._env, scenarios)
+        order = None if self._engine.places_own else start_order(self._env, scenarios)
         mask = np.arange(self.num_envs) == 0
         for scenario in scenarios:
             self._begin_by_highway_env(0, scenario)  # refuses what the engine cannot copy, such as another road
             if order is None:
                 continue
-            expected = self.engine.state(0)
-            self.engine.reset(options={"reset_mask": mask, "draws": {0: forms_of(scenario, order)}})
-            if not are_alike(expected, self.engine.state(0)):
+            expected = self._engine.state(0)
+            self._engine.reset(options={"reset_mask": mask, "draws": {0: forms_of(scenario, order)}})
+            if not are_alike(expected, self._engine.state(0)):
                 return None
         return order
 
@@ -117,9 +114,9 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         for scenario in scenarios.values():
             self.logical.check(scenario)
         draws = {b: forms_of(scenario, (*self._order, *self._later)) for b, scenario in scenarios.items()}
-        begun = self.engine.reset(options={"reset_mask": mask, "draws": draws})
+        begun = self._engine.reset(options={"reset_mask": mask, "draws": draws})
         for b in chosen:
-            state = self.engine.state(b)
+            state = self._engine.state(b)
             self._records[b] = EpisodeRecord(self._env.inner, state.ego_route(self._networks[b]))
             self._records[b].sizes.update(state.sizes())
             self._log(b, 1)
@@ -131,7 +128,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._records[b], self._networks[b] = self._env.record, self._env.inner.road.network
         chosen, later = np.arange(self.num_envs) == b, forms_of(scenario, self._later)
         with self._env.vehicle_classes.applied():
-            return self.engine.reset(
+            return self._engine.reset(
                 options={"reset_mask": chosen, "starts": {b: self._env.inner}, "draws": {b: later}}
             )
 
@@ -140,12 +137,12 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         rest = self._ended
         for b in np.flatnonzero(~rest).tolist():
             self._records[b].decide(actions[b])
-        observations, rewards, terminated, truncated, infos = self.engine.step(actions)
+        observations, rewards, terminated, truncated, infos = self._engine.step(actions)
         self._ended = terminated | truncated
         ended = self._ended & ~rest
         traces = np.full(self.num_envs, None, dtype=object)
         for b in np.flatnonzero(~rest).tolist():
-            self._log(b, len(self.engine.frame_log.frames[b]))
+            self._log(b, len(self._engine.frame_log.frames[b]))
             self._records[b].judge(_has_arrived(infos, b))
         for b in np.flatnonzero(ended).tolist():
             traces[b] = self._records[b].trace(self._networks[b], terminated=bool(terminated[b]))
@@ -153,16 +150,21 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     def _log(self, b: int, count: int) -> None:
         """Record the first frames of the latest decision of sub-environment b."""
-        log, record = self.engine.frame_log, self._records[b]
+        log, record = self._engine.frame_log, self._records[b]
         rows = zip(log.frames[b, :count].tolist(), log.things[b, :count].copy(), strict=True)
         for (n_things, ego, is_on_road), things in rows:
             record.frames.append(Frame(things[:n_things], ego, is_on_road))
         for number in log.things[b, count - 1]["number"][:n_things].tolist():
             record.sizes.setdefault(number, _SIZE)
 
+    @property
+    def engine(self) -> HighwayVectorEnv:
+        """The environments without their records, whose episodes can go on from snapshots."""
+        return self._engine
+
     def close_extras(self, **_: Any) -> None:
         """Release the engine."""
-        self.engine.close()
+        self._engine.close()
 
 
 def _engine(env: DrawnEnv, num_envs: int, *, rewards: bool) -> HighwayVectorEnv:
