@@ -59,6 +59,7 @@ def report(found: Triage) -> str:
         "",
         *(hanging("  ", f"{class_id}: {words_of(class_id)}") for class_id in found.classes),
         *_witnesses(found.findings),
+        *_last_chances(found.findings),
         "",
         "A class groups failures that look alike. It begins with the violated requirement:",
         "R1 collision, R2 illegal line touched, R3 destination missed.",
@@ -82,6 +83,12 @@ def _witnesses(findings: Sequence[Finding]) -> list[str]:
     """Return who or what avoided the preventable collisions."""
     names = counted(_NUMBER.sub("", finding.avoidance) for finding in findings if finding.avoidance)
     return ["", hanging("", f"Preventable collisions were avoided by: {names}")] if names else []
+
+
+def _last_chances(findings: Sequence[Finding]) -> list[str]:
+    """Return what the policy did at the last decisions at which its crashes could still be avoided."""
+    words = counted(finding.last_chance.words for finding in findings if finding.last_chance)
+    return ["", hanging("", f"At the last chance to avoid a crash, the driver chose: {words}")] if words else []
 
 
 def _class_table(found: Triage) -> Table:

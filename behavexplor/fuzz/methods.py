@@ -17,6 +17,7 @@ METHODS = MappingProxyType(
         "map-elites": "behavexplor.fuzz.quality_diversity:MAPElites",
         "novelty-search": "behavexplor.fuzz.quality_diversity:NoveltySearch",
         "encounters": "behavexplor.fuzz.encounters:Encounters",
+        "niching": "behavexplor.fuzz.niching:Niching",
         "uniform": "behavexplor.fuzz.uniform:Uniform",
     }
 )

@@ -187,6 +187,7 @@ def _card(class_id: str, findings: list[Finding], examined: frozenset[int]) -> C
         "fault": counted(finding.fault for finding in known),
         "cause": counted(finding.cause for finding in known),
         "signature": counted(finding.signature for finding in known),
+        "last chance": counted(finding.last_chance.words for finding in known if finding.last_chance),
         "avoidable by": counted(finding.avoidance for finding in known),
         "not reproduced": str(sum(not finding.same_verdict for finding in known) or ""),
     }

@@ -21,6 +21,7 @@ from behavexplor.judge.specs import SPECS, Spec, judge
 from behavexplor.triage.blame import Blame, blame
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.findings import Finding, OtherDriver, Witness, trace_finding, witness_values
+from behavexplor.triage.last_chance import last_chance
 from behavexplor.triage.signatures import signature
 
 STREAM: Final = 0x7472_6961  # separates the random numbers of triage from those of campaigns
@@ -115,6 +116,7 @@ def examined(
         trace_finding(record, trace),
         same_verdict=again.same_verdict,
         same_trace=again.same_trace,
+        last_chance=last_chance(simulation, scenario, trace) if again.same_trace else None,
         **_collision(verdict),
     )
     if cause is not None:

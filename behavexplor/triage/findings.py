@@ -33,6 +33,28 @@ FORMAT: Final = 1  # of the files of triage and of minimization
 TRIAGE, WITNESSES = "triage.json", "witnesses"
 
 
+@dataclass(frozen=True)
+class LastChance:
+    """The last decision at which the ego could still have avoided a crash, within the policy's own actions.
+
+    It is exact: every sequence of actions that begins later was driven, and crashes.
+
+    Attributes:
+        back: number of decisions from it to the crash; 1 is the decision in which the ego crashed.
+        did: name of the action that the policy chose.
+        saving: names of the actions after which some sequence of actions does not crash soon.
+    """
+
+    back: int
+    did: str
+    saving: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """What was chosen, and what would have avoided the crash."""
+        return f"{self.did} instead of {' or '.join(self.saving)}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Finding:
     """The finding about one failure.
@@ -51,6 +73,7 @@ class Finding:
         in_junction: whether the ego was in a junction at the collision.
         avoidance: name of the witness, stored in the file that `witness_path` returns; None without a witness.
         tried: number of evasions that were executed in search of a witness.
+        last_chance: last chance to avoid a crash; None if none was found, see `behavexplor.triage.last_chance`.
         signature: likely cause, see `behavexplor.triage.signatures`; None unless the rule planner drove.
         cause: primary cause, see `behavexplor.triage.counterfactual.Cause`; None unless the rule planner drove.
         necessary: weaknesses without which the failure does not happen.
@@ -68,6 +91,7 @@ class Finding:
     in_junction: bool | None = None
     avoidance: str | None = None
     tried: int = 0
+    last_chance: LastChance | None = None
     signature: str | None = None
     cause: str | None = None
     necessary: tuple[str, ...] = ()

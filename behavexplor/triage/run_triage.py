@@ -15,6 +15,7 @@ from behavexplor.campaign.judgment import ads_failure
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.trace import WEAKNESS_NAMES, Trace, weakness_names
+from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import AHEAD, ADSError, in_order
@@ -120,7 +121,7 @@ def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
     values = json.loads(answer)
     if values["witness"] is not None:
         write_durably(witness_path(run, execution.id), json.dumps(values["witness"]) + "\n")
-    return Finding(**values["finding"])
+    return checked(Finding, values["finding"], "the finding")
 
 
 @dataclass(frozen=True)

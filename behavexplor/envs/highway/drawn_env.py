@@ -9,6 +9,8 @@ import highway_env
 from gymnasium.error import ResetNeeded
 from gymnasium.wrappers import TimeLimit
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import DiscreteMetaAction
+from highway_env.vehicle.behavior import IDMVehicle
 
 from behavexplor.data.drawn_logical import UNIFORM, Draw, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE, DrawnScenario, Setup, Traffic, config_text, sorted_draws
@@ -83,6 +85,12 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
             found.append(env)
             env = env.env
         return found
+
+    @property
+    def meta_actions(self) -> tuple[str, ...]:
+        """Names of the actions in their order if the ego drives by meta-actions; otherwise nothing."""
+        kind = self._inner.action_type
+        return tuple(kind.actions.values()) if isinstance(kind, DiscreteMetaAction) else ()
 
     @property
     def max_decisions(self) -> int:
@@ -257,7 +265,8 @@ class Layout:
 
     def _label(self, name: str, position: int) -> tuple[str, int]:
         parts = name.split("/")
-        for end in range(1, len(parts) + 1):
+        is_of_vehicle = hasattr(IDMVehicle, _COUNT.sub("", parts[-1]))  # as `randomize_behavior`, which envs have, too
+        for end in range(1, len(parts) + 1 - is_of_vehicle):
             call = "/".join(parts[:end])
             function = _COUNT.sub("", parts[end - 1])
             if hasattr(self._env, function) and self._is_repeated(call):

@@ -148,6 +148,11 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
         for number in log.things[b, count - 1]["number"][:n_things].tolist():
             record.sizes.setdefault(number, _SIZE)
 
+    @property
+    def engine(self) -> HighwayVectorEnv:
+        """The environments without their records, whose episodes can go on from snapshots."""
+        return self._engine
+
     def close_extras(self, **_: Any) -> None:
         """Release the engine."""
         self._engine.close()

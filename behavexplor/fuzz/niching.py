@@ -1,0 +1,146 @@
+"""Evolutionary search for near misses with niching: what was seen often counts as less dangerous.
+
+The score of an execution is its least time to collision. It gets worse with the logarithm of how often its kind of
+situation was seen, as fitness sharing does it with the number of neighbors. So failures that are known already make
+room for those that are not.
+
+Sources: Goldberg and Richardson, "Genetic algorithms with sharing for multimodal function optimization", ICGA 1987, for
+niches; Hayward, "Near-miss determination through use of a scale of danger", Highway Research Record 384, 1972, for the
+time to collision.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Final, NamedTuple
+
+import numpy as np
+
+from behavexplor.data.array_types import Floats
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.trace import Trace
+from behavexplor.data.validation import between, validated
+from behavexplor.fuzz.search import MAX_POPULATION, UNIFORM, Candidate
+from behavexplor.fuzz.vector_search import Asker
+from behavexplor.judge.classes import violation_class
+from behavexplor.judge.near_miss import LONGEST, NearMiss
+from behavexplor.judge.specs import Verdict
+
+CHILD: Final = "child"  # origin of candidates
+_LEAST: Final = 0.2  # score of the nearest miss; that of a failure is 0 [s]
+_SIGMAS: Final = (0.01, 0.3)  # least and greatest deviation of the noise, as shares of a gene's range
+_FEW: Final = 0.2  # share of the genes that change if not all of them do
+_ATTEMPTS: Final = 100
+
+
+@validated
+class NichingOptions:
+    """Options of `Niching`.
+
+    Attributes:
+        population: number of executions that may become parents.
+        initial: number of uniform scenarios executed before the first child.
+        penalty: how much worse an execution becomes when its niche is seen e times as often [s].
+        exchange: probability that a child takes each vehicle from either of two parents.
+        redraw: probability that a mutation draws vehicles anew; otherwise, it adds noise.
+    """
+
+    population: Annotated[int, between(1, MAX_POPULATION)] = 20
+    initial: Annotated[int, between(1)] = 20
+    penalty: Annotated[float, between(0)] = 0.5
+    exchange: Annotated[float, between(0, 1)] = 0.5
+    redraw: Annotated[float, between(0, 1)] = 0.4
+
+
+class _Parent(NamedTuple):
+    number: int
+    vector: Floats
+    score: float
+    niche: object
+
+
+class Niching:
+    """Ours: evolution toward near misses, whose score gets worse the more often their kind of situation was seen."""
+
+    Options: ClassVar[type] = NichingOptions
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: NichingOptions) -> None:
+        self._options = options
+        self._asker = Asker(logical, seed)
+        self._seen: Counter[object] = Counter()  # executions by niche
+        self._parents: list[_Parent] = []
+        self._drawn, self._drawn_failed = 0, 0  # uniform scenarios that have been executed
+
+    def ask(self) -> Candidate:
+        """Return uniform scenarios at first, then children, and a share of uniform ones as great as their failures."""
+        rng = self._asker.draws()
+        if self._asker.asked < self._options.initial or not self._parents:
+            return self._asker.candidate(self._asker.uniform(rng)[0], rng, UNIFORM)
+        if rng.random() * self._drawn < self._drawn_failed:
+            return self._asker.candidate(self._asker.uniform(rng)[0], rng, UNIFORM)
+        parent = self._picked(rng)
+        return self._asker.candidate(self._child(parent.vector, rng), rng, CHILD, parent.number)
+
+    def _picked(self, rng: np.random.Generator) -> _Parent:
+        return self._parents[int(rng.integers(len(self._parents)))]
+
+    def _child(self, parent: Floats, rng: np.random.Generator) -> Floats:
+        """Return a child that is not a copy of its parent, shape (n,)."""
+        features = self._asker.encoding.features
+        for _ in range(_ATTEMPTS):
+            blocks = self._blocks(parent)
+            if rng.random() < self._options.exchange:
+                other = rng.random(len(blocks)) < 0.5
+                blocks[other] = self._blocks(self._picked(rng).vector)[other]
+            child = self._mutated(blocks, rng).ravel()
+            if (features(child[None]) != features(parent[None])).any():
+                break
+        return child
+
+    def _blocks(self, vector: Floats) -> Floats:
+        return vector.reshape(self._asker.encoding.n_blocks, -1).copy()
+
+    def _mutated(self, blocks: Floats, rng: np.random.Generator) -> Floats:
+        """Draw one or more vehicles anew, or add noise to all genes or a few; shape (blocks, genes)."""
+        if rng.random() < self._options.redraw:
+            count = min(int(rng.geometric(0.6)), len(blocks))
+            chosen = rng.choice(len(blocks), count, replace=False)
+            blocks[chosen] = rng.random((count, blocks.shape[1]))
+            return blocks
+        sigma = math.exp(rng.uniform(*np.log(_SIGMAS)))
+        share = 1.0 if rng.random() < 0.5 else _FEW
+        noise = (rng.random(blocks.shape) < share) * rng.normal(0.0, sigma, blocks.shape)
+        return np.abs((blocks + noise + 1.0) % 2.0 - 1.0)
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
+        """Count the niche of an execution, and keep the best parents.
+
+        Returns:
+            The `time_left` until the nearest collision [s].
+        """
+        miss = NearMiss.of(trace)
+        niche = _niche(trace, verdict, miss)
+        time_left = miss.time_left if miss else LONGEST
+        score = 0.0 if verdict.violated else _LEAST + time_left
+        self._seen[niche] += 1
+        self._parents.append(_Parent(candidate.number, self._asker.told(candidate), score, niche))
+        self._parents = sorted(self._parents, key=self._worth)[: self._options.population]
+        if candidate.origin == UNIFORM:
+            self._drawn += 1
+            self._drawn_failed += bool(verdict.violated)
+        return {"time_left": time_left}
+
+    def _worth(self, parent: _Parent) -> float:
+        return parent.score + self._options.penalty * math.log(self._seen[parent.niche])
+
+    def status(self) -> Mapping[str, float]:
+        """Return the number of niches."""
+        return {"niches": len(self._seen)}
+
+
+def _niche(trace: Trace, verdict: Verdict, miss: NearMiss | None) -> object:
+    """Return the situation of a collision or near miss, the class of another failure, or None."""
+    if verdict.violated and trace.end != "collision":
+        kind = violation_class(trace, verdict.violated)
+        return kind.id if kind else verdict.violated[0]
+    return miss.niche(trace) if miss else None

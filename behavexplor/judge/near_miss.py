@@ -1,0 +1,112 @@
+"""The moment at which an ego came nearest to a collision, and the kind of situation that it was in.
+
+The measure is the time to collision: the time until two vehicles touch if both keep their velocities.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+
+from behavexplor.data.array_types import Floats
+from behavexplor.data.trace import Trace
+from behavexplor.jit import kernel_in_place
+from behavexplor.judge.events import recent
+from behavexplor.judge.fault import touched_npc
+
+LONGEST: Final = 5.0  # greater times to collision tell nothing [s]
+BEFORE: Final = 1.0  # time between the situation that leads to a collision and the contact [s]
+_REACH: Final = 80.0  # vehicles farther away are not looked at [m]
+_SECTORS: Final = 8
+_CLOSING: Final = (4.0, 10.0)  # edges between kinds of relative speeds [m/s]
+_SPEEDS: Final = (6.0, 14.0, 22.0)  # edges between kinds of the ego's speeds [m/s]
+_DISC_PLACE: Final = 0.34  # of the outer two of a vehicle's three discs, as a share of its length
+_DISC_RADIUS: Final = 0.55  # as a share of its width
+
+Niche = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class NearMiss:
+    """The moment of a trace at which the ego was nearest to a collision.
+
+    Attributes:
+        time_left: least time to collision, 0 for a collision [s].
+        frame: frame in which it was least; that `BEFORE` the contact in a collision.
+        npc: the other vehicle, an index of `Trace.size`.
+    """
+
+    time_left: float
+    frame: int
+    npc: int
+
+    @classmethod
+    def of(cls, trace: Trace) -> Self | None:
+        """Return the near miss of a trace, or its collision; None if no vehicle was closer than `LONGEST`."""
+        partner = touched_npc(trace) if trace.end == "collision" else None
+        if partner is not None:
+            return cls(0.0, _before_contact(trace, partner), partner)
+        found = np.array([LONGEST, 0.0, 0.0])
+        fill_nearest(trace.position, trace.heading, trace.velocity, trace.size, found)
+        time_left, frame, npc = found.tolist()
+        return cls(time_left, int(frame), int(npc)) if npc else None
+
+    def niche(self, trace: Trace) -> Niche:
+        """Return the kind of situation: the other vehicle's sector, relative speed, own speed, and latest command.
+
+        A command is rounded. So each meta-action is a kind of its own, and a continuous command is less than, about or
+        more than zero.
+        """
+        heading = trace.heading[self.frame, 0]
+        x, y = trace.position[self.frame, self.npc] - trace.position[self.frame, 0]
+        sector = round((math.atan2(y, x) - heading) / (2 * math.pi / _SECTORS)) % _SECTORS
+        closing = math.hypot(*(trace.velocity[self.frame, self.npc] - trace.velocity[self.frame, 0]))
+        speed = math.hypot(*trace.velocity[self.frame, 0])
+        latest = int(np.searchsorted(trace.action_frame, self.frame, side="right")) - 1
+        command = np.rint(trace.actions[latest]).astype(int).tolist() if latest >= 0 else []
+        return sector, int(np.digitize(closing, _CLOSING)), int(np.digitize(speed, _SPEEDS)), *command
+
+
+def _before_contact(trace: Trace, partner: int) -> int:
+    """Return the frame `BEFORE` the end, or the first one later in which the partner is there."""
+    first = int(recent(trace, len(trace.time) - 1, BEFORE)[0])
+    if not trace.present.size:
+        return first
+    return first + int(trace.present[first:, partner].argmax())
+
+
+@kernel_in_place
+def fill_nearest(position: Floats, heading: Floats, velocity: Floats, size: Floats, found: Floats) -> None:
+    """Find the least time to collision of the ego with any other vehicle.
+
+    A vehicle is three discs in a row. Vehicles that do not move relative to each other never touch.
+
+    Args:
+        position: centers, shape (T, N, 2) [m]; the ego is the first vehicle.
+        heading: headings, shape (T, N) [rad].
+        velocity: velocities, shape (T, N, 2) [m/s].
+        size: length and width, shape (N, 2) [m].
+        found: the greatest time that counts, and two zeros; afterwards the least time, its frame and its vehicle if
+            there is one; changed in place, shape (3,).
+    """
+    for t in range(len(position)):
+        ego_x, ego_y = math.cos(heading[t, 0]) * size[0, 0], math.sin(heading[t, 0]) * size[0, 0]
+        for i in range(1, position.shape[1]):
+            dx, dy = position[t, i, 0] - position[t, 0, 0], position[t, i, 1] - position[t, 0, 1]
+            vx, vy = velocity[t, i, 0] - velocity[t, 0, 0], velocity[t, i, 1] - velocity[t, 0, 1]
+            speed2 = vx * vx + vy * vy
+            if dx * dx + dy * dy > _REACH * _REACH or speed2 < 0.01:
+                continue
+            npc_x, npc_y = math.cos(heading[t, i]) * size[i, 0], math.sin(heading[t, i]) * size[i, 0]
+            radius = _DISC_RADIUS * (size[0, 1] + size[i, 1])
+            for pair in range(9):
+                own, other = _DISC_PLACE * (pair // 3 - 1), _DISC_PLACE * (pair % 3 - 1)
+                x, y = dx + other * npc_x - own * ego_x, dy + other * npc_y - own * ego_y
+                toward, beyond = x * vx + y * vy, x * x + y * y - radius * radius
+                root = toward * toward - speed2 * beyond
+                if beyond > 0.0 and (toward >= 0.0 or root < 0.0):
+                    continue
+                left = max(-toward - math.sqrt(root), 0.0) / speed2 if beyond > 0.0 else 0.0
+                if left < found[0]:
+                    found[0], found[1], found[2] = left, t, i

@@ -1,0 +1,93 @@
+"""Niching: what becomes a parent, and what children are made of."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from behavexplor.fuzz.niching import CHILD, Niching, NichingOptions
+from behavexplor.fuzz.search import UNIFORM
+from behavexplor.judge.specs import Verdict
+from tests.fakes import LOGICAL, make_trace
+
+TIME = np.arange(0.0, 3.0, 0.05)
+PASSED, FAILED = Verdict({"collision": 1.0}, ()), Verdict({"collision": 0.0}, ("collision",))
+
+
+def approach(seconds, side=False):
+    """A trace whose least time to collision is about so many seconds, with a vehicle ahead or to the right."""
+    gap = 10.0 * seconds + 0.68 * 4.9 + 2.2
+    ego = np.stack([0 * TIME, 0 * TIME, 0 * TIME], 1)
+    npc = np.stack([0 * TIME, gap + 10.0 * (TIME[-1] - TIME), 0 * TIME - np.pi / 2], 1)
+    if not side:
+        npc = np.stack([gap + 10.0 * (TIME[-1] - TIME), 0 * TIME, 0 * TIME + np.pi], 1)
+    return replace(make_trace(ego, [npc]), end="timeout")
+
+
+def search(**options):
+    return Niching(LOGICAL, 0, NichingOptions(**{"initial": 1, "population": 1, **options}))
+
+
+def tell(method, trace, verdict=PASSED):
+    candidate = method.ask()
+    method.tell(candidate, trace, verdict)
+    return candidate
+
+
+def test_the_nearest_miss_becomes_the_parent():
+    method = search()
+    tell(method, approach(3.0))
+    near = tell(method, approach(1.0))
+    tell(method, approach(2.0))
+    assert method.ask().parent == near.number
+
+
+def test_what_was_seen_often_makes_room_for_what_is_new():
+    method = search(penalty=2.0)
+    for _ in range(10):
+        tell(method, approach(1.0))
+    rare = tell(method, approach(3.0, side=True))
+    assert method.ask().parent == rare.number
+
+
+def test_without_a_penalty_it_does_not():
+    method = search(penalty=0.0)
+    first = tell(method, approach(1.0))
+    tell(method, approach(3.0, side=True))
+    assert method.ask().parent == first.number
+
+
+def test_the_share_of_uniform_scenarios_is_that_of_their_failures():
+    method = search(initial=20)
+    for number in range(20):
+        tell(method, approach(1.0), FAILED if number % 2 else PASSED)
+    origins = [tell(method, approach(1.0), FAILED if number % 2 else PASSED).origin for number in range(200)]
+    assert 70 < origins.count(UNIFORM) < 130
+    never = search(initial=20)
+    for _ in range(20):
+        tell(never, approach(1.0))
+    assert {tell(never, approach(1.0), FAILED).origin for _ in range(100)} == {CHILD}
+
+
+@pytest.mark.parametrize("redraw", [0.0, 1.0])
+def test_a_child_differs_from_its_parent(redraw):
+    method = search(redraw=redraw, exchange=0.0)
+    parent = tell(method, approach(1.0))
+    known = method._asker.encoding.encode(parent.scenario)
+    for _ in range(50):
+        child = method._asker.encoding.encode(tell(method, approach(2.0)).scenario)
+        assert (child != known).any()
+
+
+def test_a_mutation_that_draws_anew_leaves_other_vehicles_as_they_are():
+    method = search(redraw=1.0, exchange=0.0)
+    parent = tell(method, approach(1.0)).scenario
+    kept = [sum(npc in parent.npcs for npc in tell(method, approach(2.0)).scenario.npcs) for _ in range(30)]
+    assert np.mean(kept) > len(parent.npcs) / 2
+
+
+def test_a_failure_is_better_than_any_near_miss():
+    method = search()
+    tell(method, approach(0.05))
+    failed = tell(method, approach(3.0, side=True), FAILED)
+    assert method.ask().parent == failed.number
