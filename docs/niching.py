@@ -24,8 +24,8 @@ from behavexplor.data.trace import Trace
 from behavexplor.execution.simulation import Simulation
 from behavexplor.fuzz.methods import load_method
 from behavexplor.judge.classes import violation_class
+from behavexplor.judge.closest_approach import ClosestApproach
 from behavexplor.judge.fault import collision_fault, is_at_fault
-from behavexplor.judge.near_miss import NearMiss
 from behavexplor.judge.situation import bearing_of
 from behavexplor.judge.specs import SPECS, judge
 from behavexplor.triage.last_chance import last_chance
@@ -66,20 +66,20 @@ class Found:
 
 def cell(trace: Trace) -> tuple[int, ...]:
     """Return where the partner was and how it moved one second before the contact, more finely than a niche."""
-    miss: Any = NearMiss.of(trace)
-    frame, npc, heading = miss.frame, miss.npc, trace.heading[miss.frame, 0]
+    nearest: Any = ClosestApproach.of(trace)
+    frame, npc, heading = nearest.frame, nearest.npc, trace.heading[nearest.frame, 0]
     turn = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
     place = turn @ (trace.position[frame, npc] - trace.position[frame, 0])
     motion = turn @ (trace.velocity[frame, npc] - trace.velocity[frame, 0])
     values = *place, *motion, math.hypot(*trace.velocity[frame, 0])
     edges = [int(np.digitize(value, own)) for value, own in zip(values, EDGES, strict=True)]
-    return *edges, *miss.niche(trace)[3:]
+    return *edges, *nearest.niche(trace)[3:]
 
 
 def mechanism(simulation: Simulation, scenario: Scenario, trace: Trace) -> object:
     """Return the last chance of a crash, and where the partner came from; None if there is no last chance."""
-    miss, chance = NearMiss.of(trace), last_chance(simulation, scenario, trace)
-    return chance and miss and (chance, bearing_of(trace, miss.frame, miss.npc))
+    nearest, chance = ClosestApproach.of(trace), last_chance(simulation, scenario, trace)
+    return chance and nearest and (chance, bearing_of(trace, nearest.frame, nearest.npc))
 
 
 def campaign(episodes: Any, method: Any, in_flight: int, budget: int) -> Found:

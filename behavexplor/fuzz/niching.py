@@ -23,7 +23,7 @@ from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.search import MAX_POPULATION, UNIFORM, Candidate
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.classes import violation_class
-from behavexplor.judge.near_miss import LONGEST, NearMiss
+from behavexplor.judge.closest_approach import LONGEST, ClosestApproach
 from behavexplor.judge.specs import Verdict
 
 CHILD: Final = "child"  # origin of candidates
@@ -53,9 +53,9 @@ class NichingOptions:
 
 
 class _Parent(NamedTuple):
-    number: int
-    vector: Floats
-    score: float
+    number: int  # of its candidate
+    vector: Floats  # shape (n,)
+    score: float  # without the penalty [s]
     niche: object
 
 
@@ -118,9 +118,9 @@ class Niching:
         Returns:
             The `time_left` until the nearest collision [s].
         """
-        miss = NearMiss.of(trace)
-        niche = _niche(trace, verdict, miss)
-        time_left = miss.time_left if miss else LONGEST
+        nearest = ClosestApproach.of(trace)
+        niche = _niche(trace, verdict, nearest)
+        time_left = nearest.time_left if nearest else LONGEST
         score = 0.0 if verdict.violated else _LEAST + time_left
         self._seen[niche] += 1
         self._parents.append(_Parent(candidate.number, self._asker.told(candidate), score, niche))
@@ -138,9 +138,9 @@ class Niching:
         return {"niches": len(self._seen)}
 
 
-def _niche(trace: Trace, verdict: Verdict, miss: NearMiss | None) -> object:
+def _niche(trace: Trace, verdict: Verdict, nearest: ClosestApproach | None) -> object:
     """Return the situation of a collision or near miss, the class of another failure, or None."""
     if verdict.violated and trace.end != "collision":
         kind = violation_class(trace, verdict.violated)
         return kind.id if kind else verdict.violated[0]
-    return miss.niche(trace) if miss else None
+    return nearest.niche(trace) if nearest else None

@@ -38,16 +38,11 @@ class LastChance:
     """The last decision at which the ego could still have avoided a crash, within the policy's own actions.
 
     It is exact: every sequence of actions that begins later was driven, and crashes.
-
-    Attributes:
-        back: number of decisions from it to the crash; 1 is the decision in which the ego crashed.
-        did: name of the action that the policy chose.
-        saving: names of the actions after which some sequence of actions does not crash soon.
     """
 
-    back: int
-    did: str
-    saving: tuple[str, ...]
+    back: int  # decisions from it to the crash; 1 is the decision in which the ego crashed
+    did: str  # action that the policy chose
+    saving: tuple[str, ...]  # actions after which some sequence of actions does not crash soon
 
     @property
     def words(self) -> str:

@@ -8,8 +8,8 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Array, Ints
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.highway.drawn_vector_env import DrawnVectorEnv
@@ -20,7 +20,7 @@ BEYOND: Final = 3  # decisions after the crash without another one, which count 
 MOST_BACK: Final = 4  # decisions before the crash
 MOST_BRANCHINGS: Final = 300  # states from which all actions are driven
 
-State = tuple[NDArray[Any], ...]
+State = tuple[Array, ...]
 
 
 def last_chance(simulation: Simulation, scenario: Any, trace: Trace) -> LastChance | None:
@@ -61,7 +61,7 @@ class Branching:
         self._all = np.arange(len(names))
         self._left = 0  # branchings before the search is given up
 
-    def last_chance(self, scenario: DrawnScenario, actions: NDArray[np.int64]) -> LastChance | None:
+    def last_chance(self, scenario: DrawnScenario, actions: Ints) -> LastChance | None:
         """Find the last chance in an episode that ended with a crash; see `last_chance`.
 
         Args:
@@ -81,7 +81,7 @@ class Branching:
                 return LastChance(back, self._names[actions[-back]], tuple(saving))
         return None
 
-    def _states(self, scenario: DrawnScenario, actions: NDArray[np.int64]) -> list[State]:
+    def _states(self, scenario: DrawnScenario, actions: Ints) -> list[State]:
         """Return the state before each decision of an episode; none if it ends without a crash."""
         self._env.reset(options={"scenarios": [scenario] * len(self._all)})
         states, crashed = [], np.zeros(1, dtype=bool)

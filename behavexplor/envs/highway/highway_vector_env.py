@@ -153,17 +153,17 @@ class HighwayVectorEnv(LockStepVectorEnv):
         """Return a copy of the state of sub-environment b."""
         return slot_state(self._slots, b)
 
-    def snapshot(self, b: int) -> tuple[NDArray[Any], ...]:
+    def snapshot(self, b: int) -> tuple[Array, ...]:
         """Return a copy of all that the episode of sub-environment b goes on from, for `restore`."""
         return tuple(rows[b].copy() for rows in self._rows)
 
-    def restore(self, b: int, snapshot: tuple[NDArray[Any], ...]) -> None:
+    def restore(self, b: int, snapshot: tuple[Array, ...]) -> None:
         """Let sub-environment b go on from a snapshot of a sub-environment that was begun with the same draws."""
         for rows, row in zip(self._rows, snapshot, strict=True):
             rows[b] = row
 
     @property
-    def _rows(self) -> tuple[NDArray[Any], ...]:
+    def _rows(self) -> tuple[Array, ...]:
         """The arrays that hold the episodes, one row for each sub-environment."""
         outcome = self._outcome
         return *self._slots, self._engine.words, outcome.numbers.T, outcome.flags.T, self._observations

@@ -28,22 +28,16 @@ Niche = tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class NearMiss:
-    """The moment of a trace at which the ego was nearest to a collision.
+class ClosestApproach:
+    """The moment of a trace at which the ego was nearest to a collision."""
 
-    Attributes:
-        time_left: least time to collision, 0 for a collision [s].
-        frame: frame in which it was least; that `BEFORE` the contact in a collision.
-        npc: the other vehicle, an index of `Trace.size`.
-    """
-
-    time_left: float
-    frame: int
-    npc: int
+    time_left: float  # least time to collision, 0 for a collision [s]
+    frame: int  # in which it was least; the one `BEFORE` the contact in a collision
+    npc: int  # the other vehicle, an index of `Trace.size`
 
     @classmethod
     def of(cls, trace: Trace) -> Self | None:
-        """Return the near miss of a trace, or its collision; None if no vehicle was closer than `LONGEST`."""
+        """Return the closest approach in a trace; None if no vehicle was closer than `LONGEST`."""
         partner = touched_npc(trace) if trace.end == "collision" else None
         if partner is not None:
             return cls(0.0, _before_contact(trace, partner), partner)

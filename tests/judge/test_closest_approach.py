@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from behavexplor.judge.near_miss import LONGEST, NearMiss
+from behavexplor.judge.closest_approach import LONGEST, ClosestApproach
 from tests.fakes import make_trace
 
 TIME = np.arange(0.0, 3.0, 0.05)
@@ -20,40 +20,40 @@ def drive(ego, *npcs, end="timeout"):
 
 
 def test_the_time_left_is_the_gap_over_the_closing_speed():
-    miss = NearMiss.of(drive(moving(speed=10.0), moving(x=60.0, speed=2.0)))
+    nearest = ClosestApproach.of(drive(moving(speed=10.0), moving(x=60.0, speed=2.0)))
     trace = drive(moving(speed=10.0), moving(x=60.0, speed=2.0))
     length, width = trace.size[0]
     gap = 60.0 - 8.0 * TIME[-1] - 0.68 * length - 1.1 * width  # between the outer discs
-    assert miss.time_left == pytest.approx(gap / 8.0, abs=1e-6)
-    assert (miss.frame, miss.npc) == (len(TIME) - 1, 1)
+    assert nearest.time_left == pytest.approx(gap / 8.0, abs=1e-6)
+    assert (nearest.frame, nearest.npc) == (len(TIME) - 1, 1)
 
 
 def test_it_is_the_vehicle_that_is_nearest_in_time_not_in_space():
     trace = drive(moving(speed=10.0), moving(y=4.0, speed=10.1), moving(x=70.0, speed=-10.0))
-    assert NearMiss.of(trace).npc == 2
+    assert ClosestApproach.of(trace).npc == 2
 
 
 @pytest.mark.parametrize("npc", [moving(x=30.0, speed=20.0), moving(y=30.0, speed=10.0), moving(x=500.0, speed=-10.0)])
 def test_a_vehicle_that_leaves_or_stays_beside_or_is_far_away_is_no_near_miss(npc):
-    assert NearMiss.of(drive(moving(speed=10.0), npc)) is None
+    assert ClosestApproach.of(drive(moving(speed=10.0), npc)) is None
 
 
 def test_vehicles_that_touch_have_no_time_left():
-    assert NearMiss.of(drive(moving(speed=10.0), moving(x=4.0, speed=1.0))).time_left == 0.0
+    assert ClosestApproach.of(drive(moving(speed=10.0), moving(x=4.0, speed=1.0))).time_left == 0.0
 
 
 def test_a_collision_is_seen_one_second_before_the_contact():
     trace = drive(moving(speed=10.0), moving(x=10.0 * TIME[-1] + 4.0), moving(y=6.0, speed=9.0), end="collision")
-    miss = NearMiss.of(trace)
-    assert (miss.time_left, miss.npc) == (0.0, 1)
-    assert trace.time[miss.frame] == pytest.approx(trace.time[-1] - 1.0)
+    nearest = ClosestApproach.of(trace)
+    assert (nearest.time_left, nearest.npc) == (0.0, 1)
+    assert trace.time[nearest.frame] == pytest.approx(trace.time[-1] - 1.0)
 
 
 def test_a_partner_that_appears_late_is_seen_when_it_is_there():
     trace = drive(moving(speed=10.0), moving(x=10.0 * TIME[-1] + 4.0), end="collision")
     present = np.ones((len(TIME), 2), dtype=bool)
     present[:-5, 1] = False
-    assert NearMiss.of(replace(trace, present=present)).frame == len(TIME) - 5
+    assert ClosestApproach.of(replace(trace, present=present)).frame == len(TIME) - 5
 
 
 @pytest.mark.parametrize(("place", "sector"), [((30, 0), 0), ((30, 30), 1), ((0, 30), 2), ((-30, 0), 4), ((0, -30), 6)])
@@ -64,16 +64,16 @@ def test_a_niche_begins_with_the_sector_seen_from_the_ego(place, sector):
             np.sin(turned) * place[0] + np.cos(turned) * place[1],
         )
         trace = drive(moving(speed=1.0, heading=turned), moving(x=x, y=y, speed=1.0, heading=turned))
-        assert NearMiss(1.0, 0, 1).niche(trace)[0] == sector
+        assert ClosestApproach(1.0, 0, 1).niche(trace)[0] == sector
 
 
 def test_a_niche_has_the_speeds_and_the_command_at_that_moment():
     trace = drive(moving(speed=15.0), moving(x=60.0, speed=3.0))
     commands = replace(trace, actions=np.array([[3.0], [1.0]]), action_frame=np.array([0, 30]))
-    early, late = NearMiss(1.0, 29, 1).niche(commands), NearMiss(1.0, 30, 1).niche(commands)
+    early, late = ClosestApproach(1.0, 29, 1).niche(commands), ClosestApproach(1.0, 30, 1).niche(commands)
     assert early == (0, 2, 2, 3)
     assert late == (0, 2, 2, 1)
 
 
 def test_without_a_vehicle_near_there_is_nothing():
-    assert NearMiss.of(drive(moving(speed=10.0), moving(x=10.0 * LONGEST + 100.0))) is None
+    assert ClosestApproach.of(drive(moving(speed=10.0), moving(x=10.0 * LONGEST + 100.0))) is None
