@@ -19,7 +19,8 @@ import numpy as np
 
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
-from behavexplor.campaign.judgment import Judgment, ads_failure, judgment
+from behavexplor.campaign.confirmation import unconfirmed
+from behavexplor.campaign.judgment import Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
@@ -159,6 +160,32 @@ class Campaign:
                 return
             failed += bool(judgment(*self._outcome(pending), self._specs).verdict.violated)
         UniformRate(count, failed).note(self._store)
+
+    @property
+    def unconfirmed(self) -> list[int]:
+        """Numbers of the failures that `confirm` will confirm; none in environments that are not highway-env's."""
+        is_theirs = self._logical.has_original
+        return unconfirmed(self._config, self._store.folder, self._store.records()) if is_theirs else []
+
+    def confirm(self, observe: Callable[[int], object] = lambda _: None) -> None:
+        """Let highway-env itself execute the first failures of each class, once the campaign has ended.
+
+        They do not depend on the number of workers. If the user stops the campaign, the rest is left to its resumption.
+
+        Args:
+            observe: function that is called with the number of failures that are done.
+
+        Raises:
+            ExecutionError: if one could not be executed.
+        """
+        numbers = [] if self.stopping else self.unconfirmed
+        try:
+            for done, _ in enumerate(confirmed(self._executor, self._store, numbers), 1):
+                observe(done)
+                if self.stopping:
+                    return
+        except RuntimeError as error:
+            raise ExecutionError(f"A failure could not be confirmed: {error}") from error
 
     def _during(self, stage: Stage, number: int) -> AbstractContextManager[None]:
         """Return a context whose time counts for a stage, or for the start if an execution is stored already."""

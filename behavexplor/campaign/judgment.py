@@ -1,15 +1,17 @@
-"""Judgment of one execution: its trace with the verdict on it, and the class and fault of its failure."""
+"""Judgment of one execution: its verdict, class and fault; whether it is reproducible, and what highway-env says."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
+from behavexplor.campaign.confirmation import Confirmation, difference, keep
 from behavexplor.campaign.record import ERROR
-from behavexplor.campaign.store import Execution
+from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
 from behavexplor.errors import sentence
-from behavexplor.execution.evaluator import EXECUTE
-from behavexplor.execution.executor import ADSError, Executor
+from behavexplor.execution.evaluator import EXECUTE, ORIGINAL
+from behavexplor.execution.executor import MOST_WORKERS, ADSError, Executor, in_order
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import collision_fault
@@ -92,3 +94,49 @@ def repeat_execution(executor: Executor, execution: Execution) -> Repetition:
     if Trace.from_bytes(again).to_bytes() != execution.load_trace().to_bytes():
         return Repetition(False, "The execution was NOT reproduced: running it again gave a different trace.")
     return Repetition(True, "The execution was reproduced: running it again gave the same trace.")
+
+
+def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Iterator[Confirmation]:
+    """Let highway-env itself execute the scenarios of failures, several at a time; write and yield what comes out.
+
+    Args:
+        executor: executor of the target of the run.
+        store: store of the run.
+        numbers: numbers of the failures, see `behavexplor.campaign.confirmation.can_be_confirmed`.
+
+    Raises:
+        RuntimeError: if a scenario could not be executed.
+        OSError: if the run folder cannot be written.
+    """
+    calls = ((ORIGINAL, store.execution(number).scenario.to_json().encode()) for number in numbers)
+    futures = in_order(executor, calls, 0 if executor.runs_here else MOST_WORKERS)
+    for number, future in zip(numbers, futures, strict=True):
+        found = confirmation(executor, store.execution(number), future)
+        keep(store.folder, number, found)
+        yield found
+
+
+def confirmation(executor: Executor, execution: Execution, original: "Future[bytes] | None" = None) -> Confirmation:
+    """Compare an execution with that of highway-env; if they differ, also with one more of the kind that it was.
+
+    Args:
+        executor: executor of the target of the run.
+        execution: the execution, see `behavexplor.campaign.confirmation.can_be_confirmed`.
+        original: its execution in highway-env, if that has begun.
+    """
+    original = original or executor.submit(ORIGINAL, execution.scenario.to_json().encode())
+    recorded = execution.record.error or execution.load_trace()
+    apart = difference(recorded, _outcome(original))
+    if apart is None:
+        return Confirmation("confirmed")
+    again = executor.submit(EXECUTE, execution.scenario.to_json().encode())
+    if difference(recorded, _outcome(again)) is None:
+        return Confirmation("disagrees", f"the compiled engine and highway-env disagree: {apart}")
+    return Confirmation("changes", "the driver acts otherwise in the same scenario, by chance or by what it remembers")
+
+
+def _outcome(future: "Future[bytes]") -> Trace | dict[str, str]:
+    try:
+        return Trace.from_bytes(future.result())
+    except ADSError as error:
+        return ads_failure(error)

@@ -2,11 +2,13 @@
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from behavexplor.campaign.confirmation import known
 from behavexplor.campaign.record import Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, program
@@ -16,16 +18,18 @@ from behavexplor.commands.wording import say
 def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]) -> int:
     """Print the record of each execution as one line of JSON, in order. Equal campaigns print equal lines.
 
-    A failure also says whether the driving system was at fault, as far as its trace can tell.
+    A failure also says whether the driving system was at fault, as far as its trace can tell, and one that highway-env
+    itself has repeated says as "confirmation" what came out.
 
     From a damaged run, all readable records are printed, losses are reported on stderr, and the exit code is 2.
 
     Args:
         run: The run folder.
     """
-    store, losses = Store.read(run), Losses()
+    store, losses, found = Store.read(run), Losses(), known(run)
     for record in store.records(losses):
         values = record.to_dict() | ({"at_fault": record.at_fault} if record.failed else {})
+        values |= {"confirmation": asdict(found[record.id])} if record.id in found else {}
         sys.stdout.write(json.dumps(values, separators=(",", ":")) + "\n")
     sys.stdout.flush()
     store.close()

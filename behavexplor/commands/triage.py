@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
+from behavexplor.campaign.confirmation import known, not_confirmed
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import HowToRun, Switch
@@ -48,7 +49,7 @@ def triage(
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A failure could not be examined: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    say(report(found))
+    say("\n".join([report(found), *(hanging("", line) for line in not_confirmed(known(run)))]))
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:
         command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"
