@@ -1,8 +1,8 @@
 """The campaign loop: ask a search method for scenarios, execute and judge them, tell the method, store the results.
 
 The search method receives results in the order in which it proposed the candidates. It is asked for candidate i when
-it has received exactly the results up to i - batch. A campaign therefore does not depend on how its scenarios are
-executed.
+it has received exactly the results up to i - batch, or earlier if it says that no result can change the candidate. A
+campaign therefore does not depend on how its scenarios are executed.
 
 Resuming a campaign means running it again with the stored traces in place of executions.
 """
@@ -38,6 +38,7 @@ from behavexplor.judge.specs import SPECS, Spec
 
 COMMIT_ROWS = 50  # greatest number of executions in one commit
 _UNIFORM: Final = 0x75_6E_69_66  # separates the scenarios that no search has chosen from those of the campaign
+_MOST_EARLY: Final = 1024  # candidates in flight, so that one of a long episode does not fill the memory with others
 COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
 
 
@@ -202,7 +203,7 @@ class Campaign:
 
     def _ask_all(self) -> str | None:
         """Ask for candidates until the batch is full. Return why the search ended, or None if it has not."""
-        while len(self._pending) < self._config.batch and self._within_budget() and not self.stopping:
+        while self._has_room() and self._within_budget() and not self.stopping:
             try:
                 with self._during(Stage.ASKING, self._asked):
                     candidate = self._method.ask()
@@ -211,6 +212,12 @@ class Campaign:
             self._asked += 1
             self._pending.append(_Pending(candidate, self._execute(candidate)))
         return None
+
+    def _has_room(self) -> bool:
+        """Return whether the batch has room for a candidate, or one that needs no result can be executed early."""
+        in_flight = len(self._pending)
+        is_foreseen = getattr(self._method, "foreseen", 0) > 0
+        return in_flight < self._config.batch or (is_foreseen and in_flight < _MOST_EARLY and self._executor.room > 0)
 
     def _within_budget(self) -> bool:
         if self._budget.executions is not None:

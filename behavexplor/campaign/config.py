@@ -67,7 +67,7 @@ class CampaignConfig(Target):
         budget: Number of executions (750), or running time (90s, 30m, 1h30m).
         seed: Random seed. The same seed gives the same records.
         batch: Number N of scenarios in flight. Each is chosen without the results of the N - 1 before it; 1 is the
-            paper's sequential loop.
+            paper's sequential loop. What needs no result, such as uniform draws, keeps all workers busy anyhow.
         specs: Additional requirement: function from a trace to its signed robustness (docs/specs.md).
         options: Options of the search method; see its `Options`.
         revision: Revision of the search methods, the environments and the judgment. The same campaign has the same

@@ -26,10 +26,11 @@ from behavexplor.data.road_shape import ROAD_FILE
 from behavexplor.data.trace import RESOLUTION, Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import LOCK_STEP, Executor
 from behavexplor.execution.forkserver import share_imports
 from behavexplor.execution.simulation import fixed_logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
+from behavexplor.fuzz.methods import load_method
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
 
@@ -92,7 +93,8 @@ def opened(
     if not resume:
         check_free(folder)  # before the driver is loaded, which takes a while
     own, identity = own_run(config, folder), identity_of(config)  # before the code that it names is run
-    recipe, specs = evaluator_recipe(config.target, config.batch), load_specs(config.specs)
+    foresees, specs = hasattr(load_method(config.method), "foreseen"), load_specs(config.specs)
+    recipe = evaluator_recipe(config.target, LOCK_STEP if foresees else config.batch)
     if workers and not cluster and driver is None:
         share_imports(recipe.preload)
     logical = fixed_logical_scenario(config.env)
@@ -106,6 +108,9 @@ def opened(
             )
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor, meanwhile=load_analysis)
+        if workers > config.batch and not foresees:
+            idle = f"{workers - config.batch} of {workers} workers have nothing to do"
+            warnings.append(f"With --batch {config.batch}, {idle}: a larger batch gives other records, faster")
         logical = logical or logical_of_target(executor, config.env)
         search = search or search_method(config, logical)
         if not resume and (warning := remember(own)) is not None:

@@ -17,7 +17,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.checked_imports import import_checked
 from behavexplor.execution.confinement import confine
-from behavexplor.execution.executor import ADSError
+from behavexplor.execution.executor import LOCK_STEP, ADSError
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
 from behavexplor.execution.forkserver import slow_modules
 from behavexplor.execution.preflight import preflight_warnings
@@ -25,8 +25,6 @@ from behavexplor.execution.rollout import LockStep
 from behavexplor.execution.service import Recipe, Service
 from behavexplor.execution.simulation import Simulation, compile_kernels
 from behavexplor.jit import keep_code_in
-
-LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in one process
 
 EXECUTE: Final = "execute"  # functions of the service, beside `FINGERPRINT`
 ORIGINAL: Final = "original"

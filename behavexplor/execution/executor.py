@@ -10,6 +10,8 @@ from typing import ClassVar, Final, Self
 
 MOST_WORKERS: Final = 64  # processes on one machine
 AHEAD: Final = 4  # calls under way for each worker
+LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in one process
+BATCHES: Final = 2  # batches of calls for each worker: one under way, and one ahead
 
 
 class Executor(ABC):
@@ -19,9 +21,11 @@ class Executor(ABC):
 
     Attributes:
         runs_here: whether calls run in this process, while their results are waited for.
+        room: number of further calls with which everything that has begun would be busy, and have one more batch ahead.
     """
 
     runs_here: ClassVar[bool] = False
+    room: int = 0
 
     @abstractmethod
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
