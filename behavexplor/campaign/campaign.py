@@ -20,6 +20,7 @@ import numpy as np
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.confirmation import unconfirmed
+from behavexplor.campaign.judges import FROM, Judges
 from behavexplor.campaign.judgment import Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
 from behavexplor.campaign.record import ERROR, Record
@@ -52,6 +53,7 @@ class _Pending:
 
     candidate: Candidate
     result: Future[bytes] | Execution
+    judging: Future[Judgment] | None = None  # in another process
     judgment: Judgment | None = None
 
     @property
@@ -70,9 +72,10 @@ class Campaign:
         executor: executor of scenarios, see `behavexplor.execution.evaluator.Evaluator`.
         specs: requirements that judge each execution.
         stop_after: number of failures after which the campaign stops; None for no such number.
-        clock: clock of its stages; by default one that begins now.
+        judges: processes that judge in place of this one, by the built-in specs; None for none.
 
     Attributes:
+        clock: clock of its stages.
         progress: progress of the campaign.
         stopping: whether `stop` has been called.
     """
@@ -86,17 +89,17 @@ class Campaign:
         executor: Executor,
         specs: Sequence[Spec] = SPECS,
         stop_after: int | None = None,
-        clock: StageClock | None = None,
+        judges: Judges | None = None,
     ) -> None:
         self._config = config
         self._method = method
         self._logical = logical
         self._budget = Budget.parse(config.budget)
         self._store = store
-        self._executor = executor
+        self._executor, self._judges = executor, judges
         self._specs = specs
         self._stop_after = stop_after
-        self._clock = clock or StageClock(store.stages)
+        self.clock = StageClock(store.stages)
         self._executing = Stage.EXECUTING if executor.runs_here else Stage.WAITING
         self._failures = 0  # those that the method has been told, stored or not
         self._archive = NoveltyArchive()
@@ -159,7 +162,7 @@ class Campaign:
         for pending in [_Pending(one, self._submit(one)) for one in candidates]:
             if self.stopping:
                 return
-            failed += bool(judgment(*self._outcome(pending), self._specs).verdict.violated)
+            failed += self._judgment(pending).verdict.failed
         UniformRate(count, failed).note(self._store)
 
     @property
@@ -188,9 +191,14 @@ class Campaign:
         except RuntimeError as error:
             raise ExecutionError(f"A failure could not be confirmed: {error}") from error
 
+    @property
+    def is_replayed(self) -> bool:
+        """True if all that was stored when the campaign was opened has come out again."""
+        return self.progress.executions >= self._stored
+
     def _during(self, stage: Stage, number: int) -> AbstractContextManager[None]:
         """Return a context whose time counts for a stage, or for the start if an execution is stored already."""
-        return self._clock.during(stage if number >= self._stored else Stage.STARTING)
+        return self.clock.during(stage if number >= self._stored else Stage.STARTING)
 
     def _has_enough(self) -> bool:
         told = self._asked - len(self._pending)
@@ -210,7 +218,7 @@ class Campaign:
             except SearchExhausted as end:
                 return str(end)
             self._asked += 1
-            self._pending.append(_Pending(candidate, self._execute(candidate)))
+            self._pending.append(self._execute(candidate))
         return None
 
     def _has_room(self) -> bool:
@@ -224,11 +232,13 @@ class Campaign:
             return self._asked < self._budget.executions
         return self._asked < self._stored or self.elapsed < (self._budget.seconds or 0.0)
 
-    def _execute(self, candidate: Candidate) -> Future[bytes] | Execution:
+    def _execute(self, candidate: Candidate) -> _Pending:
         stored = self._store.recall(candidate.number) if candidate.number < self._stored else None
         if stored is None:
-            with self._clock.during(self._executing):
-                return self._submit(candidate)
+            with self.clock.during(self._executing):
+                result = self._submit(candidate)
+            judges = self._judges if candidate.number >= FROM else None
+            return _Pending(candidate, result, judges.follow(result) if judges and judges.are_ready else None)
         if stored.scenario != candidate.scenario:
             raise InputError(
                 f"The run cannot be resumed: execution {candidate.number} would now be a different scenario, so the "
@@ -239,7 +249,7 @@ class Campaign:
                 "The run cannot be resumed: an earlier version gave its failures other names, without knowing their "
                 "lanes; start a new one"
             )
-        return stored
+        return _Pending(candidate, stored)
 
     def _submit(self, candidate: Candidate) -> Future[bytes]:
         try:
@@ -268,32 +278,41 @@ class Campaign:
         for other in self._pending:
             if oldest.is_executed:
                 return
-            if other.is_executed and other.judgment is None:
+            if other.is_executed and other.judgment is None and other.judging is None:
                 with suppress(InputError, ExecutionError):  # it will be raised when the candidate is the oldest one
                     other.judgment = self._judgment(other)
 
     def _judgment(self, pending: _Pending) -> Judgment:
-        data, failure = self._outcome(pending)
-        with self._during(Stage.JUDGING, pending.candidate.number):
-            try:
-                return judgment(data, failure, self._specs)
-            except InputError as error:
-                place = f"in execution {pending.candidate.number} of {self._store.folder}"
-                raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
-
-    def _outcome(self, pending: _Pending) -> tuple[bytes, dict[str, str] | None]:
-        """Return the trace of a candidate as bytes, and how the ADS failed."""
         candidate, result = pending.candidate, pending.result
         if isinstance(result, Execution):
-            return result.trace, result.record.error
+            return self._judged(candidate, result.trace, result.record.error)
         try:
-            with self._clock.during(self._executing):
-                return result.result(), None
+            with self.clock.during(self._executing):
+                data = result.result()
+                if pending.judging is not None:
+                    return pending.judging.result()
         except ADSError as error:
-            return self._logical.first_frame(candidate.scenario, ERROR).to_bytes(), ads_failure(error)
+            return self._failed(candidate, error)
         except Exception as error:
             message = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
+        try:
+            return self._judged(candidate, data, None)
+        except ADSError as error:
+            return self._failed(candidate, error)
+
+    def _failed(self, candidate: Candidate, error: ADSError) -> Judgment:
+        """Return the judgment of an execution in which the ADS failed instead of driving."""
+        frame = self._logical.first_frame(candidate.scenario, ERROR).to_bytes()
+        return self._judged(candidate, frame, ads_failure(error))
+
+    def _judged(self, candidate: Candidate, data: bytes, failure: dict[str, str] | None) -> Judgment:
+        with self._during(Stage.JUDGING, candidate.number):
+            try:
+                return judgment(data, failure, self._specs)
+            except InputError as error:
+                place = f"in execution {candidate.number} of {self._store.folder}"
+                raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
 
     def _record(self, candidate: Candidate, judged: Judgment) -> Record:
         with self._during(Stage.MINING, candidate.number):
@@ -303,9 +322,9 @@ class Campaign:
             id=candidate.number,
             origin=candidate.origin,
             parent=candidate.parent,
-            end=judged.trace.end,
+            end=judged.end,
             error=judged.failure,
-            duration=judged.trace.duration,
+            duration=judged.duration,
             violated=judged.verdict.violated,
             violation_class=judged.violation_class,
             fault=judged.fault,
@@ -322,15 +341,15 @@ class Campaign:
         waited = time.monotonic() - self._committed
         if self._store.pending < rows and waited < seconds:
             return
-        with self._clock.during(Stage.STORING):
-            committed = self._store.commit(self._clock.total)
+        with self.clock.during(Stage.STORING):
+            committed = self._store.commit(self.clock.total)
         for execution in committed:
             self.progress = self.progress.after(execution.record, resumed=False)
         self._committed = time.monotonic()
         self.progress = replace(
             self.progress,
             elapsed=self.elapsed,
-            executing=self._clock.seconds[self._executing],
+            executing=self.clock.seconds[self._executing],
             method=dict(self._method.status()),
         )
         observe(self.progress)

@@ -9,7 +9,7 @@ from behavexplor.campaign.confirmation import Confirmation, difference, keep
 from behavexplor.campaign.record import ERROR
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
-from behavexplor.errors import sentence
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import EXECUTE, ORIGINAL
 from behavexplor.execution.executor import MOST_WORKERS, ADSError, Executor, in_order
 from behavexplor.judge.classes import violation_class
@@ -27,6 +27,8 @@ class Judgment:
     Attributes:
         data: the trace as bytes.
         trace: the trace.
+        end: kind of its end.
+        duration: its duration [s].
         verdict: the verdict of the specs.
         violation_class: id of the failure's class; None for a passed execution.
         fault: who was at fault in a collision, as stored in a record.
@@ -35,6 +37,8 @@ class Judgment:
 
     data: bytes
     trace: Trace
+    end: str
+    duration: float
     verdict: Verdict
     violation_class: str | None
     fault: str | None
@@ -45,14 +49,18 @@ def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec])
     """Judge an execution.
 
     Raises:
+        ADSError: if the data is no trace.
         InputError: if a spec cannot judge the trace.
     """
-    trace = Trace.from_bytes(data)
+    try:
+        trace = Trace.from_bytes(data)
+    except InputError as error:
+        raise ADSError("crash", f"its process sent what is no trace: {error}") from error
     verdict = judge(trace, specs)
     if failure is not None:
         verdict = replace(verdict, violated=(ERROR,))
     kind, fault = _class_id(trace, verdict, failure), collision_fault(trace, verdict.violated)
-    return Judgment(data, trace, verdict, kind, fault, failure)
+    return Judgment(data, trace, trace.end, trace.duration, verdict, kind, fault, failure)
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:

@@ -15,7 +15,8 @@ from behavexplor.behavior.clusters import k_means
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, point_to_latest, stored_config
-from behavexplor.campaign.progress import Stage, StageClock
+from behavexplor.campaign.judges import Judges
+from behavexplor.campaign.progress import Stage
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.same_driver import check_identity, identity_of
 from behavexplor.campaign.store import Store, check_free
@@ -28,6 +29,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
 from behavexplor.execution.executor import LOCK_STEP, Executor
 from behavexplor.execution.forkserver import share_imports
+from behavexplor.execution.service import Recipe
 from behavexplor.execution.simulation import fixed_logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
 from behavexplor.fuzz.methods import load_method
@@ -93,8 +95,7 @@ def opened(
     if not resume:
         check_free(folder)  # before the driver is loaded, which takes a while
     own, identity = own_run(config, folder), identity_of(config)  # before the code that it names is run
-    foresees, specs = hasattr(load_method(config.method), "foreseen"), load_specs(config.specs)
-    recipe = evaluator_recipe(config.target, LOCK_STEP if foresees else config.batch)
+    recipe, specs = _recipe(config), load_specs(config.specs)
     if workers and not cluster and driver is None:
         share_imports(recipe.preload)
     logical = fixed_logical_scenario(config.env)
@@ -107,10 +108,7 @@ def opened(
                 else start_in_process(config.target, driver, recipe)
             )
             stack.callback(executor.shutdown, wait=False)
-            warnings = check_ads(executor, meanwhile=load_analysis)
-        if workers > config.batch and not foresees:
-            idle = f"{workers - config.batch} of {workers} workers have nothing to do"
-            warnings.append(f"With --batch {config.batch}, {idle}: a larger batch gives other records, faster")
+            warnings = check_ads(executor, meanwhile=load_analysis) + _of_idle_workers(config, workers)
         logical = logical or logical_of_target(executor, config.env)
         search = search or search_method(config, logical)
         if not resume and (warning := remember(own)) is not None:
@@ -119,13 +117,30 @@ def opened(
         stack.callback(store.close)
         check_identity(store, identity)
         _complete(folder, logical, executor)
-        clock = StageClock(store.stages)
-        clock.seconds[Stage.STARTING] = time.monotonic() - begun
-        campaign = Campaign(config, search, logical, store, executor, specs, stop_after, clock)
-        stored = store.end
+        judges = Judges(0 if config.specs else workers)
+        stack.callback(judges.shutdown)
+        campaign = Campaign(config, search, logical, store, executor, specs, stop_after, judges)
+        campaign.clock.seconds[Stage.STARTING] = time.monotonic() - begun
         yield Ready(campaign, store, warnings)
-        if resume and campaign.progress.executions >= stored:  # what was stored came out again
+        if resume and campaign.is_replayed:  # what was stored came out again
             remember(own)
+
+
+def _foresees(config: CampaignConfig) -> bool:
+    """Return whether the search method has candidates that need no result, see `SearchMethod`."""
+    return hasattr(load_method(config.method), "foreseen")
+
+
+def _recipe(config: CampaignConfig) -> Recipe:
+    return evaluator_recipe(config.target, LOCK_STEP if _foresees(config) else config.batch)
+
+
+def _of_idle_workers(config: CampaignConfig, workers: int) -> list[str]:
+    """Return a warning about workers to which the batch gives nothing to do; none if there are none."""
+    if workers <= config.batch or _foresees(config):
+        return []
+    idle = f"{workers - config.batch} of {workers} workers have nothing to do"
+    return [f"With --batch {config.batch}, {idle}: a larger batch gives other records, faster"]
 
 
 def _complete(folder: Path, logical: LogicalScenario, executor: Executor) -> None:
