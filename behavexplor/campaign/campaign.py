@@ -76,6 +76,7 @@ class Campaign:
 
     Attributes:
         clock: clock of its stages.
+        logical: its logical scenario.
         progress: progress of the campaign.
         stopping: whether `stop` has been called.
     """
@@ -93,7 +94,7 @@ class Campaign:
     ) -> None:
         self._config = config
         self._method = method
-        self._logical = logical
+        self.logical = logical
         self._budget = Budget.parse(config.budget)
         self._store = store
         self._executor, self._judges = executor, judges
@@ -158,7 +159,7 @@ class Campaign:
         if self._config.method in INDEPENDENT or count <= (known.n if known else 0):
             return
         generator, failed = np.random.default_rng([_UNIFORM, self._config.seed]), 0
-        candidates = [Candidate(number, self._logical.sample(generator), "uniform", None) for number in range(count)]
+        candidates = [Candidate(number, self.logical.sample(generator), "uniform", None) for number in range(count)]
         for pending in [_Pending(one, self._submit(one)) for one in candidates]:
             if self.stopping:
                 return
@@ -168,7 +169,7 @@ class Campaign:
     @property
     def unconfirmed(self) -> list[int]:
         """Numbers of the failures that `confirm` will confirm; none in environments that are not highway-env's."""
-        is_theirs = self._logical.has_original
+        is_theirs = self.logical.has_original
         return unconfirmed(self._config, self._store.folder, self._store.records()) if is_theirs else []
 
     def confirm(self, observe: Callable[[int], object] = lambda _: None) -> None:
@@ -303,7 +304,7 @@ class Campaign:
 
     def _failed(self, candidate: Candidate, error: ADSError) -> Judgment:
         """Return the judgment of an execution in which the ADS failed instead of driving."""
-        frame = self._logical.first_frame(candidate.scenario, ERROR).to_bytes()
+        frame = self.logical.first_frame(candidate.scenario, ERROR).to_bytes()
         return self._judged(candidate, frame, ads_failure(error))
 
     def _judged(self, candidate: Candidate, data: bytes, failure: dict[str, str] | None) -> Judgment:
