@@ -20,7 +20,7 @@ import numpy as np
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.confirmation import unconfirmed
-from behavexplor.campaign.judges import FROM, Judges
+from behavexplor.campaign.judges import Judges
 from behavexplor.campaign.judgment import Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
 from behavexplor.campaign.record import ERROR, Record
@@ -238,8 +238,8 @@ class Campaign:
         if stored is None:
             with self.clock.during(self._executing):
                 result = self._submit(candidate)
-            judges = self._judges if candidate.number >= FROM else None
-            return _Pending(candidate, result, judges.follow(result) if judges and judges.are_ready else None)
+            judges = self._judges if self._judges and self._judges.are_ready else None
+            return _Pending(candidate, result, judges.follow(result) if judges else None)
         if stored.scenario != candidate.scenario:
             raise InputError(
                 f"The run cannot be resumed: execution {candidate.number} would now be a different scenario, so the "

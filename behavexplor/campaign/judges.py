@@ -1,7 +1,7 @@
 """Judging outside the campaign's process, in processes that never load a driver, on many traces at a time.
 
 What they say depends on a trace alone, so a campaign's records do not depend on whether, where and in which company a
-trace was judged. Starting such a process takes as long as judging some hundred traces, so a campaign begins without.
+trace was judged. A process takes as long to start as to judge some hundred traces, so only long campaigns have them.
 """
 
 import json
@@ -28,9 +28,12 @@ from behavexplor.judge.specs import SPECS, Verdict
 
 JUDGE: Final = "judge"  # function of the service
 WORKERS_OF_A_JUDGE: Final = 4  # a trace takes longer to drive than to judge
-FROM: Final = 200  # executions, from which on it pays to start processes
+LEAST: Final = 1500  # executions of a campaign for which it pays to start processes
 MOST: Final = 64  # traces that are judged at a time
+PATIENCE: Final = 600.0  # time limit of a group [s]
+FRAMES: Final = 31  # of the trace of `pass_by`
 _LENGTH: Final = 8  # of a length [bytes]
+_SPEED: Final = 10.0  # [m/s]
 
 
 class JudgeService(Service):
@@ -43,6 +46,10 @@ class JudgeService(Service):
         """Give up the rights of this process, because traces come from processes of third-party code."""
         keep_code_in(Path(tempfile.mkdtemp()))
         confine()
+
+    def begin(self) -> None:
+        """Load the machine code by judging a small trace."""
+        judged(pass_by().to_bytes())
 
 
 class Judges:
@@ -67,7 +74,7 @@ class Judges:
         """True if traces can be given to `follow`. The first question starts the processes."""
         if self._pool is None and self._count:
             recipe = Recipe(f"{__name__}:{JudgeService.__name__}", batched=JUDGE)
-            self._pool = WorkerPool(self._count, recipe, math.inf, math.inf)
+            self._pool = WorkerPool(self._count, recipe, PATIENCE, math.inf)
             self._begun = self._pool.submit(JUDGE, b"")
         return self._begun is not None and self._begun.done() and self._begun.exception() is None
 
@@ -165,3 +172,23 @@ def unpacked(message: bytes) -> list[bytes]:
         parts.append(message[begin + _LENGTH : end])
         begin = end
     return parts
+
+
+def pass_by() -> Trace:
+    """Return a trace of an ego that passes a standing vehicle."""
+    time = np.arange(FRAMES) / 20
+    position, velocity = np.zeros((2, FRAMES, 2, 2))
+    position[:, 0, 0], position[:, 1], velocity[:, 0, 0] = _SPEED * time, (8.0, 4.0), _SPEED
+    return Trace(
+        time=time,
+        position=position,
+        heading=np.zeros((FRAMES, 2)),
+        velocity=velocity,
+        size=np.array([[5.0, 2.0], [5.0, 2.0]]),
+        actions=np.zeros((0, 1)),
+        action_frame=np.zeros(0, dtype=np.int64),
+        route=np.array([[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]]),
+        destination=np.array([100.0, 0.0]),
+        illegal_lines=np.array([[[0.0, -4.0], [100.0, -4.0]]]),
+        end="timeout",
+    )

@@ -1,5 +1,7 @@
 """Judging in other processes: the same as in the campaign's own, whatever is judged in company with what."""
 
+import subprocess
+import sys
 import time
 from concurrent.futures import Future
 from contextlib import closing
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 from behavexplor.behavior.features import state_matrix
-from behavexplor.campaign import campaign as campaigns
+from behavexplor.campaign import opening
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judges import Judges, judged, packed, unpacked
@@ -115,13 +117,13 @@ def run(folder, workers, **config):
 def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method):
     whole = run(tmp_path / "here", 0, method=method)
     followed, follow = [], Judges.follow
-    monkeypatch.setattr(campaigns, "FROM", 5)
+    monkeypatch.setattr(opening, "LEAST", 1)
     monkeypatch.setattr(Judges, "are_ready", property(ready))
     monkeypatch.setattr(Judges, "follow", lambda self, driven: followed.append(driven) or follow(self, driven))
     assert run(tmp_path / "there", 2, method=method, budget="20") == whole[:20]
-    assert len(followed) == 15
+    assert len(followed) == 20
     assert run(tmp_path / "there", 2, method=method) == whole
-    assert len(followed) == 35
+    assert len(followed) == 40
 
 
 def test_a_judge_that_ends_is_not_the_drivers_failure(tmp_path, monkeypatch):
@@ -130,10 +132,31 @@ def test_a_judge_that_ends_is_not_the_drivers_failure(tmp_path, monkeypatch):
         driven.add_done_callback(lambda _: judging.set_exception(RuntimeError("a worker ended: its process is gone")))
         return judging
 
-    monkeypatch.setattr(campaigns, "FROM", 5)
+    monkeypatch.setattr(opening, "LEAST", 1)
     monkeypatch.setattr(Judges, "are_ready", property(lambda _: True))
     monkeypatch.setattr(Judges, "follow", lose)
-    with pytest.raises(ExecutionError, match="Execution 5 could not be carried out: RuntimeError: a worker ended"):
+    with pytest.raises(ExecutionError, match="Execution 0 could not be carried out: RuntimeError: a worker ended"):
         run(tmp_path / "run", 1)
     with closing(Store.read(tmp_path / "run")) as store:
-        assert len(store) == 5
+        assert len(store) == 0
+
+
+@pytest.mark.slow
+def test_a_long_campaign_that_is_killed_ends_as_any_other(tmp_path):
+    command = [sys.executable, "-m", "behavexplor", "fuzz", "--quiet", "--workers"]
+    new = ["--env", "lane-change", "--ads", "constant", "--method", "uniform", "--budget", "1600", "--out"]
+    subprocess.run([*command, "1", *new, str(tmp_path / "whole")], check=True, capture_output=True)
+    arguments, rng, lives = [*new, str(tmp_path / "killed")], np.random.default_rng(0), 0
+    while lives < 5:
+        life = subprocess.Popen([*command, "2", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        while not (tmp_path / "killed" / "campaign.db").exists():
+            time.sleep(0.01)
+        time.sleep(rng.uniform(2.0, 6.0))
+        life.kill()
+        life.wait()
+        arguments, lives = ["--resume", str(tmp_path / "killed")], lives + 1
+    subprocess.run([*command, "2", *arguments], check=True, capture_output=True)
+    with closing(Store.read(tmp_path / "whole")) as one, closing(Store.read(tmp_path / "killed")) as other:
+        for first, second in zip(one.executions(), other.executions(), strict=True):
+            assert (first.record, first.trace) == (second.record, second.trace)
+        assert len(one) == 1600
