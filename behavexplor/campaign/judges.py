@@ -89,6 +89,8 @@ class Judges:
 
     def shutdown(self) -> None:
         """End the processes at once."""
+        with self._lock:
+            self._count = 0  # what is driven from now on is not judged
         if self._pool is not None:
             self._pool.shutdown(wait=False)
 

@@ -340,7 +340,7 @@ class _Worker:
     @property
     def is_alone(self) -> bool:
         """True if the worker processes a call that needs it to itself."""
-        return any(task.alone for task in self.tasks.values())
+        return len(self.tasks) == 1 and next(iter(self.tasks.values())).alone
 
     def has_room(self, share: int) -> bool:
         """Return whether the worker can take one more call beside others, up to a share of all calls."""

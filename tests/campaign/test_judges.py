@@ -80,6 +80,15 @@ def test_what_is_no_trace_is_the_drivers_failure(judges):
         judgment(b"no trace", None, SPECS)
 
 
+def test_what_arrives_after_the_end_is_left_alone(caplog):
+    made, late = ready(Judges(1)), Future()
+    judging = made.follow(late)
+    made.shutdown()
+    late.set_result(TRACES[0])
+    assert not judging.done()
+    assert not caplog.records
+
+
 def test_messages_are_taken_apart():
     parts = [b"", b"a" * 300, b"\n"]
     assert unpacked(packed(parts)) == parts
