@@ -90,13 +90,7 @@ class Evaluation:
 
 
 class Judge(Evaluator):
-    """An evaluator that tells the outcomes of a scenario instead of its trace, which takes longer to pack.
-
-    Failures are not confirmed one by one: a rate does not depend on the few episodes, if any, that end otherwise in
-    highway-env, and a driver that crashes often would take hundreds of times as long.
-    """
-
-    confirms = False
+    """An evaluator that tells the outcomes of a scenario instead of its trace, which takes longer to pack."""
 
     def answer(self, trace: Trace) -> bytes:
         """Return the `Outcomes` as a JSON list."""

@@ -16,6 +16,7 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from benchmarks.analysis import analysis_rows
 from benchmarks.execution import Pace, lock_step_rows, main_systems, stock_rows, worker_rows
 from benchmarks.highway import highway_rows
+from benchmarks.scale import scale_rows
 from benchmarks.stages import stage_rows
 from benchmarks.startup import startup_rows
 
@@ -90,6 +91,11 @@ def highway(count: int) -> list[Row]:
     return highway_rows(count / 256)
 
 
+def scale(count: int) -> list[Row]:
+    """What limits a campaign with many workers: CPU time of its own process [ms per execution], executions a second."""
+    return scale_rows(200 + 4 * count)
+
+
 PARTS: dict[str, Callable[[int], list[Row]]] = {
     "execution": execution,
     "workers": workers,
@@ -97,6 +103,7 @@ PARTS: dict[str, Callable[[int], list[Row]]] = {
     "startup": startup,
     "stages": stages,
     "highway": highway,
+    "scale": scale,
 }
 
 

@@ -57,6 +57,7 @@ def conduct(
         stack.enter_context(_stoppable(ready.campaign))
         ready.campaign.run(show)
         ready.campaign.drive_uniformly()
+        ready.campaign.confirm()
         was_stopped = ready.campaign.stopping
     if was_stopped:
         raise Interrupted(folder)

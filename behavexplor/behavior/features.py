@@ -50,6 +50,11 @@ NEGLIGIBLE: Final = np.tile(  # effect of such a deviation on each feature, shap
 )
 
 
+def known_states(heading_frame: HeadingFrame, states: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+    """Return states that another process has computed, as arguments of `Trace.of_packed` for `state_matrix`."""
+    return {f"_{heading_frame}_states": states}
+
+
 def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray[np.float32]:
     """Compute the ego's states on a grid of `TIME_STEP`, the paper's X-bar.
 
@@ -64,6 +69,9 @@ def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray
     Returns:
         Read-only matrix with the columns of `ATTRIBUTES`, shape (N', 8). N' = 0 if the trace has a single frame.
     """
+    known: NDArray[np.float32] | None = vars(trace).get(f"_{heading_frame}_states")
+    if known is not None:
+        return known
     if len(trace.time) < 2:
         return np.zeros((0, len(ATTRIBUTES)), dtype=np.float32)
     heading = _without_jumps(trace.heading[:, 0])

@@ -105,6 +105,7 @@ class CampaignService(Service):
             warnings += ready.warnings
             threadpool_limits(1)  # includes libraries that the ADS has loaded
             ready.campaign.run(lambda _: None)
+            ready.campaign.confirm()
             return not ready.campaign.stopping
 
 

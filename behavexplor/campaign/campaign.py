@@ -1,8 +1,8 @@
 """The campaign loop: ask a search method for scenarios, execute and judge them, tell the method, store the results.
 
 The search method receives results in the order in which it proposed the candidates. It is asked for candidate i when
-it has received exactly the results up to i - batch. A campaign therefore does not depend on how its scenarios are
-executed.
+it has received exactly the results up to i - batch, or earlier if it says that no result can change the candidate. A
+campaign therefore does not depend on how its scenarios are executed.
 
 Resuming a campaign means running it again with the stored traces in place of executions.
 """
@@ -19,7 +19,9 @@ import numpy as np
 
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
-from behavexplor.campaign.judgment import Judgment, ads_failure, judgment
+from behavexplor.campaign.confirmation import unconfirmed
+from behavexplor.campaign.judges import Judges
+from behavexplor.campaign.judgment import Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
@@ -37,6 +39,7 @@ from behavexplor.judge.specs import SPECS, Spec
 
 COMMIT_ROWS = 50  # greatest number of executions in one commit
 _UNIFORM: Final = 0x75_6E_69_66  # separates the scenarios that no search has chosen from those of the campaign
+_MOST_EARLY: Final = 1024  # candidates in flight, so that one of a long episode does not fill the memory with others
 COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
 
 
@@ -50,6 +53,7 @@ class _Pending:
 
     candidate: Candidate
     result: Future[bytes] | Execution
+    judging: Future[Judgment] | None = None  # in another process
     judgment: Judgment | None = None
 
     @property
@@ -68,9 +72,11 @@ class Campaign:
         executor: executor of scenarios, see `behavexplor.execution.evaluator.Evaluator`.
         specs: requirements that judge each execution.
         stop_after: number of failures after which the campaign stops; None for no such number.
-        clock: clock of its stages; by default one that begins now.
+        judges: processes that judge in place of this one, by the built-in specs; None for none.
 
     Attributes:
+        clock: clock of its stages.
+        logical: its logical scenario.
         progress: progress of the campaign.
         stopping: whether `stop` has been called.
     """
@@ -84,17 +90,17 @@ class Campaign:
         executor: Executor,
         specs: Sequence[Spec] = SPECS,
         stop_after: int | None = None,
-        clock: StageClock | None = None,
+        judges: Judges | None = None,
     ) -> None:
         self._config = config
         self._method = method
-        self._logical = logical
+        self.logical = logical
         self._budget = Budget.parse(config.budget)
         self._store = store
-        self._executor = executor
+        self._executor, self._judges = executor, judges
         self._specs = specs
         self._stop_after = stop_after
-        self._clock = clock or StageClock(store.stages)
+        self.clock = StageClock(store.stages)
         self._executing = Stage.EXECUTING if executor.runs_here else Stage.WAITING
         self._failures = 0  # those that the method has been told, stored or not
         self._archive = NoveltyArchive()
@@ -153,16 +159,47 @@ class Campaign:
         if self._config.method in INDEPENDENT or count <= (known.n if known else 0):
             return
         generator, failed = np.random.default_rng([_UNIFORM, self._config.seed]), 0
-        candidates = [Candidate(number, self._logical.sample(generator), "uniform", None) for number in range(count)]
+        candidates = [Candidate(number, self.logical.sample(generator), "uniform", None) for number in range(count)]
         for pending in [_Pending(one, self._submit(one)) for one in candidates]:
             if self.stopping:
                 return
-            failed += bool(judgment(*self._outcome(pending), self._specs).verdict.violated)
+            failed += self._judgment(pending).verdict.failed
         UniformRate(count, failed).note(self._store)
+
+    @property
+    def unconfirmed(self) -> list[int]:
+        """Numbers of the failures that `confirm` will confirm; none in environments that are not highway-env's."""
+        is_theirs = self.logical.has_original
+        return unconfirmed(self._config, self._store.folder, self._store.records()) if is_theirs else []
+
+    def confirm(self, observe: Callable[[int], object] = lambda _: None) -> None:
+        """Let highway-env itself execute the first failures of each class, once the campaign has ended.
+
+        They do not depend on the number of workers. If the user stops the campaign, the rest is left to its resumption.
+
+        Args:
+            observe: function that is called with the number of failures that are done.
+
+        Raises:
+            ExecutionError: if one could not be executed.
+        """
+        numbers = [] if self.stopping else self.unconfirmed
+        try:
+            for done, _ in enumerate(confirmed(self._executor, self._store, numbers), 1):
+                observe(done)
+                if self.stopping:
+                    return
+        except RuntimeError as error:
+            raise ExecutionError(f"A failure could not be confirmed: {error}") from error
+
+    @property
+    def is_replayed(self) -> bool:
+        """True if all that was stored when the campaign was opened has come out again."""
+        return self.progress.executions >= self._stored
 
     def _during(self, stage: Stage, number: int) -> AbstractContextManager[None]:
         """Return a context whose time counts for a stage, or for the start if an execution is stored already."""
-        return self._clock.during(stage if number >= self._stored else Stage.STARTING)
+        return self.clock.during(stage if number >= self._stored else Stage.STARTING)
 
     def _has_enough(self) -> bool:
         told = self._asked - len(self._pending)
@@ -175,26 +212,34 @@ class Campaign:
 
     def _ask_all(self) -> str | None:
         """Ask for candidates until the batch is full. Return why the search ended, or None if it has not."""
-        while len(self._pending) < self._config.batch and self._within_budget() and not self.stopping:
+        while self._has_room() and self._within_budget() and not self.stopping:
             try:
                 with self._during(Stage.ASKING, self._asked):
                     candidate = self._method.ask()
             except SearchExhausted as end:
                 return str(end)
             self._asked += 1
-            self._pending.append(_Pending(candidate, self._execute(candidate)))
+            self._pending.append(self._execute(candidate))
         return None
+
+    def _has_room(self) -> bool:
+        """Return whether the batch has room for a candidate, or one that needs no result can be executed early."""
+        in_flight = len(self._pending)
+        is_foreseen = getattr(self._method, "foreseen", 0) > 0
+        return in_flight < self._config.batch or (is_foreseen and in_flight < _MOST_EARLY and self._executor.room > 0)
 
     def _within_budget(self) -> bool:
         if self._budget.executions is not None:
             return self._asked < self._budget.executions
         return self._asked < self._stored or self.elapsed < (self._budget.seconds or 0.0)
 
-    def _execute(self, candidate: Candidate) -> Future[bytes] | Execution:
+    def _execute(self, candidate: Candidate) -> _Pending:
         stored = self._store.recall(candidate.number) if candidate.number < self._stored else None
         if stored is None:
-            with self._clock.during(self._executing):
-                return self._submit(candidate)
+            with self.clock.during(self._executing):
+                result = self._submit(candidate)
+            judges = self._judges if self._judges and self._judges.are_ready else None
+            return _Pending(candidate, result, judges.follow(result) if judges else None)
         if stored.scenario != candidate.scenario:
             raise InputError(
                 f"The run cannot be resumed: execution {candidate.number} would now be a different scenario, so the "
@@ -205,7 +250,7 @@ class Campaign:
                 "The run cannot be resumed: an earlier version gave its failures other names, without knowing their "
                 "lanes; start a new one"
             )
-        return stored
+        return _Pending(candidate, stored)
 
     def _submit(self, candidate: Candidate) -> Future[bytes]:
         try:
@@ -234,32 +279,41 @@ class Campaign:
         for other in self._pending:
             if oldest.is_executed:
                 return
-            if other.is_executed and other.judgment is None:
+            if other.is_executed and other.judgment is None and other.judging is None:
                 with suppress(InputError, ExecutionError):  # it will be raised when the candidate is the oldest one
                     other.judgment = self._judgment(other)
 
     def _judgment(self, pending: _Pending) -> Judgment:
-        data, failure = self._outcome(pending)
-        with self._during(Stage.JUDGING, pending.candidate.number):
-            try:
-                return judgment(data, failure, self._specs)
-            except InputError as error:
-                place = f"in execution {pending.candidate.number} of {self._store.folder}"
-                raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
-
-    def _outcome(self, pending: _Pending) -> tuple[bytes, dict[str, str] | None]:
-        """Return the trace of a candidate as bytes, and how the ADS failed."""
         candidate, result = pending.candidate, pending.result
         if isinstance(result, Execution):
-            return result.trace, result.record.error
+            return self._judged(candidate, result.trace, result.record.error)
         try:
-            with self._clock.during(self._executing):
-                return result.result(), None
+            with self.clock.during(self._executing):
+                data = result.result()
+                if pending.judging is not None:
+                    return pending.judging.result()
         except ADSError as error:
-            return self._logical.first_frame(candidate.scenario, ERROR).to_bytes(), ads_failure(error)
+            return self._failed(candidate, error)
         except Exception as error:
             message = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
+        try:
+            return self._judged(candidate, data, None)
+        except ADSError as error:
+            return self._failed(candidate, error)
+
+    def _failed(self, candidate: Candidate, error: ADSError) -> Judgment:
+        """Return the judgment of an execution in which the ADS failed instead of driving."""
+        frame = self.logical.first_frame(candidate.scenario, ERROR).to_bytes()
+        return self._judged(candidate, frame, ads_failure(error))
+
+    def _judged(self, candidate: Candidate, data: bytes, failure: dict[str, str] | None) -> Judgment:
+        with self._during(Stage.JUDGING, candidate.number):
+            try:
+                return judgment(data, failure, self._specs)
+            except InputError as error:
+                place = f"in execution {candidate.number} of {self._store.folder}"
+                raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
 
     def _record(self, candidate: Candidate, judged: Judgment) -> Record:
         with self._during(Stage.MINING, candidate.number):
@@ -269,9 +323,9 @@ class Campaign:
             id=candidate.number,
             origin=candidate.origin,
             parent=candidate.parent,
-            end=judged.trace.end,
+            end=judged.end,
             error=judged.failure,
-            duration=judged.trace.duration,
+            duration=judged.duration,
             violated=judged.verdict.violated,
             violation_class=judged.violation_class,
             fault=judged.fault,
@@ -288,15 +342,15 @@ class Campaign:
         waited = time.monotonic() - self._committed
         if self._store.pending < rows and waited < seconds:
             return
-        with self._clock.during(Stage.STORING):
-            committed = self._store.commit(self._clock.total)
+        with self.clock.during(Stage.STORING):
+            committed = self._store.commit(self.clock.total)
         for execution in committed:
             self.progress = self.progress.after(execution.record, resumed=False)
         self._committed = time.monotonic()
         self.progress = replace(
             self.progress,
             elapsed=self.elapsed,
-            executing=self._clock.seconds[self._executing],
+            executing=self.clock.seconds[self._executing],
             method=dict(self._method.status()),
         )
         observe(self.progress)

@@ -19,7 +19,8 @@ from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief, unknown_name
 
 CONFIG = "config.yaml"  # file in a run folder
-REVISION: Final = 2  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
+REVISION: Final = 3  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ. 3: the
+# records of failures in highway-env's environments are the compiled engine's, confirmed or not.
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
 RUNS: Final = Path("runs")  # their parent folder
 LATEST: Final = "latest"  # in it, a link to the run that began or went on last
@@ -66,7 +67,7 @@ class CampaignConfig(Target):
         budget: Number of executions (750), or running time (90s, 30m, 1h30m).
         seed: Random seed. The same seed gives the same records.
         batch: Number N of scenarios in flight. Each is chosen without the results of the N - 1 before it; 1 is the
-            paper's sequential loop.
+            paper's sequential loop. What needs no result, such as uniform draws, keeps all workers busy anyhow.
         specs: Additional requirement: function from a trace to its signed robustness (docs/specs.md).
         options: Options of the search method; see its `Options`.
         revision: Revision of the search methods, the environments and the judgment. The same campaign has the same

@@ -1,15 +1,17 @@
-"""Judgment of one execution: its trace with the verdict on it, and the class and fault of its failure."""
+"""Judgment of one execution: its verdict, class and fault; whether it is reproducible, and what highway-env says."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 
+from behavexplor.campaign.confirmation import Confirmation, difference, keep
 from behavexplor.campaign.record import ERROR
-from behavexplor.campaign.store import Execution
+from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
-from behavexplor.errors import sentence
-from behavexplor.execution.evaluator import EXECUTE
-from behavexplor.execution.executor import ADSError, Executor
+from behavexplor.errors import InputError, sentence
+from behavexplor.execution.evaluator import EXECUTE, ORIGINAL
+from behavexplor.execution.executor import MOST_WORKERS, ADSError, Executor, in_order
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import collision_fault
@@ -25,6 +27,8 @@ class Judgment:
     Attributes:
         data: the trace as bytes.
         trace: the trace.
+        end: kind of its end.
+        duration: its duration [s].
         verdict: the verdict of the specs.
         violation_class: id of the failure's class; None for a passed execution.
         fault: who was at fault in a collision, as stored in a record.
@@ -33,6 +37,8 @@ class Judgment:
 
     data: bytes
     trace: Trace
+    end: str
+    duration: float
     verdict: Verdict
     violation_class: str | None
     fault: str | None
@@ -43,14 +49,18 @@ def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec])
     """Judge an execution.
 
     Raises:
+        ADSError: if the data is no trace.
         InputError: if a spec cannot judge the trace.
     """
-    trace = Trace.from_bytes(data)
+    try:
+        trace = Trace.from_bytes(data)
+    except InputError as error:
+        raise ADSError("crash", f"its process sent what is no trace: {error}") from error
     verdict = judge(trace, specs)
     if failure is not None:
         verdict = replace(verdict, violated=(ERROR,))
     kind, fault = _class_id(trace, verdict, failure), collision_fault(trace, verdict.violated)
-    return Judgment(data, trace, verdict, kind, fault, failure)
+    return Judgment(data, trace, trace.end, trace.duration, verdict, kind, fault, failure)
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:
@@ -92,3 +102,49 @@ def repeat_execution(executor: Executor, execution: Execution) -> Repetition:
     if Trace.from_bytes(again).to_bytes() != execution.load_trace().to_bytes():
         return Repetition(False, "The execution was NOT reproduced: running it again gave a different trace.")
     return Repetition(True, "The execution was reproduced: running it again gave the same trace.")
+
+
+def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Iterator[Confirmation]:
+    """Let highway-env itself execute the scenarios of failures, several at a time; write and yield what comes out.
+
+    Args:
+        executor: executor of the target of the run.
+        store: store of the run.
+        numbers: numbers of the failures, see `behavexplor.campaign.confirmation.can_be_confirmed`.
+
+    Raises:
+        RuntimeError: if a scenario could not be executed.
+        OSError: if the run folder cannot be written.
+    """
+    calls = ((ORIGINAL, store.execution(number).scenario.to_json().encode()) for number in numbers)
+    futures = in_order(executor, calls, 0 if executor.runs_here else MOST_WORKERS)
+    for number, future in zip(numbers, futures, strict=True):
+        found = confirmation(executor, store.execution(number), future)
+        keep(store.folder, number, found)
+        yield found
+
+
+def confirmation(executor: Executor, execution: Execution, original: "Future[bytes] | None" = None) -> Confirmation:
+    """Compare an execution with that of highway-env; if they differ, also with one more of the kind that it was.
+
+    Args:
+        executor: executor of the target of the run.
+        execution: the execution, see `behavexplor.campaign.confirmation.can_be_confirmed`.
+        original: its execution in highway-env, if that has begun.
+    """
+    original = original or executor.submit(ORIGINAL, execution.scenario.to_json().encode())
+    recorded = execution.record.error or execution.load_trace()
+    apart = difference(recorded, _outcome(original))
+    if apart is None:
+        return Confirmation("confirmed")
+    again = executor.submit(EXECUTE, execution.scenario.to_json().encode())
+    if difference(recorded, _outcome(again)) is None:
+        return Confirmation("disagrees", f"the compiled engine and highway-env disagree: {apart}")
+    return Confirmation("changes", "the driver acts otherwise in the same scenario, by chance or by what it remembers")
+
+
+def _outcome(future: "Future[bytes]") -> Trace | dict[str, str]:
+    try:
+        return Trace.from_bytes(future.result())
+    except ADSError as error:
+        return ads_failure(error)

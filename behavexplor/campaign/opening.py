@@ -15,7 +15,8 @@ from behavexplor.behavior.clusters import k_means
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, point_to_latest, stored_config
-from behavexplor.campaign.progress import Stage, StageClock
+from behavexplor.campaign.judges import FRAMES, LEAST, Judges, pass_by
+from behavexplor.campaign.progress import Stage
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.same_driver import check_identity, identity_of
 from behavexplor.campaign.store import Store, check_free
@@ -23,18 +24,17 @@ from behavexplor.data.durable import write_durably
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.motion_bytes import unpack_motion
 from behavexplor.data.road_shape import ROAD_FILE
-from behavexplor.data.trace import RESOLUTION, Trace
+from behavexplor.data.trace import RESOLUTION
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import LOCK_STEP, Executor
 from behavexplor.execution.forkserver import share_imports
+from behavexplor.execution.service import Recipe
 from behavexplor.execution.simulation import fixed_logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
+from behavexplor.fuzz.methods import load_method
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
-
-_FRAMES = 31
-_SPEED = 10.0  # [m/s]
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def opened(
     if not resume:
         check_free(folder)  # before the driver is loaded, which takes a while
     own, identity = own_run(config, folder), identity_of(config)  # before the code that it names is run
-    recipe, specs = evaluator_recipe(config.target, config.batch), load_specs(config.specs)
+    recipe, specs = _recipe(config), load_specs(config.specs)
     if workers and not cluster and driver is None:
         share_imports(recipe.preload)
     logical = fixed_logical_scenario(config.env)
@@ -105,7 +105,7 @@ def opened(
                 else start_in_process(config.target, driver, recipe)
             )
             stack.callback(executor.shutdown, wait=False)
-            warnings = check_ads(executor, meanwhile=load_analysis)
+            warnings = check_ads(executor, meanwhile=load_analysis) + _of_idle_workers(config, workers)
         logical = logical or logical_of_target(executor, config.env)
         search = search or search_method(config, logical)
         if not resume and (warning := remember(own)) is not None:
@@ -114,13 +114,36 @@ def opened(
         stack.callback(store.close)
         check_identity(store, identity)
         _complete(folder, logical, executor)
-        clock = StageClock(store.stages)
-        clock.seconds[Stage.STARTING] = time.monotonic() - begun
-        campaign = Campaign(config, search, logical, store, executor, specs, stop_after, clock)
-        stored = store.end
+        judges = _judges(config, workers)
+        stack.callback(judges.shutdown)
+        campaign = Campaign(config, search, logical, store, executor, specs, stop_after, judges)
+        campaign.clock.seconds[Stage.STARTING] = time.monotonic() - begun
         yield Ready(campaign, store, warnings)
-        if resume and campaign.progress.executions >= stored:  # what was stored came out again
+        if resume and campaign.is_replayed:  # what was stored came out again
             remember(own)
+
+
+def _foresees(config: CampaignConfig) -> bool:
+    """Return whether the search method has candidates that need no result, see `SearchMethod`."""
+    return hasattr(load_method(config.method), "foreseen")
+
+
+def _recipe(config: CampaignConfig) -> Recipe:
+    return evaluator_recipe(config.target, LOCK_STEP if _foresees(config) else config.batch)
+
+
+def _judges(config: CampaignConfig, workers: int) -> Judges:
+    """Return the judges of a campaign: none for a short one, or if the user's own specs judge, too."""
+    is_long = (Budget.parse(config.budget).executions or LEAST) >= LEAST
+    return Judges(workers if is_long and not config.specs else 0)
+
+
+def _of_idle_workers(config: CampaignConfig, workers: int) -> list[str]:
+    """Return a warning about workers to which the batch gives nothing to do; none if there are none."""
+    if workers <= config.batch or _foresees(config):
+        return []
+    idle = f"{workers - config.batch} of {workers} workers have nothing to do"
+    return [f"With --batch {config.batch}, {idle}: a larger batch gives other records, faster"]
 
 
 def _complete(folder: Path, logical: LogicalScenario, executor: Executor) -> None:
@@ -166,30 +189,10 @@ def load_analysis() -> None:
     The first campaign on a machine compiles that code here. Otherwise, its first execution would wait for it.
     """
     k_means(np.eye(2), 1, ["random"], 0)
-    unpack_motion(np.zeros((1, 2, _FRAMES), dtype=np.uint8), _FRAMES, RESOLUTION)
-    trace = _pass_by()
+    unpack_motion(np.zeros((1, 2, FRAMES), dtype=np.uint8), FRAMES, RESOLUTION)
+    trace = pass_by()
     judge(trace)
     NoveltyArchive().observe(trace)
-
-
-def _pass_by() -> Trace:
-    """Return a trace of an ego that passes a standing vehicle."""
-    time = np.arange(_FRAMES) / 20
-    position, velocity = np.zeros((2, _FRAMES, 2, 2))
-    position[:, 0, 0], position[:, 1], velocity[:, 0, 0] = _SPEED * time, (8.0, 4.0), _SPEED
-    return Trace(
-        time=time,
-        position=position,
-        heading=np.zeros((_FRAMES, 2)),
-        velocity=velocity,
-        size=np.array([[5.0, 2.0], [5.0, 2.0]]),
-        actions=np.zeros((0, 1)),
-        action_frame=np.zeros(0, dtype=np.int64),
-        route=np.array([[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]]),
-        destination=np.array([100.0, 0.0]),
-        illegal_lines=np.array([[[0.0, -4.0], [100.0, -4.0]]]),
-        end="timeout",
-    )
 
 
 Handler = Callable[[int, FrameType | None], object] | signal.Handlers

@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from behavexplor.campaign.config import CONFIG
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.judge.fault import is_at_fault
-from behavexplor.judge.specs import DIFFERS, ERROR
+from behavexplor.judge.specs import ERROR
 
 __all__ = ["ERROR", "Record"]
 DATABASE, FAILURES = "campaign.db", "failures"
@@ -68,8 +68,7 @@ class Record:
     @property
     def at_fault(self) -> bool:
         """True if the execution failed, and the driving system was at fault as far as the trace can tell."""
-        is_ours = self.error is not None and self.error.get("kind") == DIFFERS
-        return self.failed and not is_ours and is_at_fault(self.fault)
+        return self.failed and is_at_fault(self.fault)
 
     def load_scenario(self) -> Scenario:
         """Return the executed scenario.

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from behavexplor.campaign.config import Budget, CampaignConfig, stored_config
+from behavexplor.campaign.confirmation import known, not_confirmed
 from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.record import Record
@@ -35,6 +36,8 @@ class RunSummary:
         digests: SHA-256 of the files of the driver, by name, when the campaign began.
         libraries: versions of the libraries then, by name.
         uniform: the driver's own failure rate, which only uniformly drawn scenarios tell; None if it is not known.
+        confirmed: number of failures that highway-env itself has confirmed, see `behavexplor.campaign.confirmation`.
+        not_confirmed: a sentence on each that it has not.
     """
 
     env: str
@@ -52,6 +55,8 @@ class RunSummary:
     digests: Mapping[str, str] = field(default_factory=dict)
     libraries: Mapping[str, str] = field(default_factory=dict)
     uniform: UniformRate | None = None
+    confirmed: int = 0
+    not_confirmed: tuple[str, ...] = ()
 
     @property
     def failure_rate(self) -> float:
@@ -92,7 +97,10 @@ def summarize(run: Path) -> RunSummary:
         uniform = own_rate(
             config.method, found.executions, found.failed, Budget.parse(config.budget), UniformRate.stored(store)
         )
-        return replace(summary, digests=begun.digests, libraries=begun.libraries, uniform=uniform)
+        tried = known(run)
+        unsure = tuple(not_confirmed(tried))
+        about = replace(summary, confirmed=len(tried) - len(unsure), not_confirmed=unsure, uniform=uniform)
+        return replace(about, digests=begun.digests, libraries=begun.libraries)
 
 
 def _summary(config: CampaignConfig, found: Progress, *, ended: bool) -> RunSummary:

@@ -235,7 +235,9 @@ class Store:
         return self.folder / FAILURES / f"{number:06d}.json"
 
     def _write_failure(self, execution: Execution) -> None:
-        write_durably(self.failure_path(execution.id), json.dumps(execution.record.to_dict(), indent=1) + "\n")
+        fields = execution.record.to_dict().items()  # one on each line: deeper indentation takes twice as long
+        text = ",\n".join(f" {json.dumps(name)}: {json.dumps(value)}" for name, value in fields)
+        write_durably(self.failure_path(execution.id), f"{{\n{text}\n}}\n")
 
     def executions(self) -> Iterator[Execution]:
         """Yield all committed executions in order.

@@ -15,13 +15,14 @@ from rich.table import Table
 
 from behavexplor.api.observers import PlainConsole
 from behavexplor.campaign.config import Budget
+from behavexplor.campaign.confirmation import known, not_confirmed
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
 from behavexplor.commands.wording import class_count, clock, hanging
 from behavexplor.errors import printable, sentence
 from behavexplor.judge.discovery import Discovery
-from behavexplor.judge.specs import DIFFERS, ERROR
+from behavexplor.judge.specs import ERROR
 
 LINE_SECONDS = 10.0  # interval between plain lines [s]
 _WIDE = 100  # least width of a terminal that shows two columns, and the figures of the search [characters]
@@ -38,7 +39,7 @@ class Display:
     """Shows the progress of a campaign: a live screen on a terminal, or else a line every few seconds."""
 
     def __init__(self, stream: TextIO, budget: Budget, *, quiet: bool) -> None:
-        self._console = PlainConsole(file=stream, quiet=quiet)
+        self._stream, self._console = stream, PlainConsole(file=stream, quiet=quiet)
         self.budget = budget
         self._live = (
             Live(console=self._console, auto_refresh=False) if self._console.is_terminal and not quiet else None
@@ -59,6 +60,10 @@ class Display:
         """Leave the last state of the live screen on the terminal."""
         if self._live is not None:
             self._live.stop()
+
+    def meter(self, total: int, things: str) -> "Meter":
+        """Return a meter for another task of the campaign, once the live screen is closed."""
+        return Meter(self._stream, total, things, quiet=self._console.quiet)
 
     def show(self, progress: Progress) -> None:
         """Show the progress of the campaign."""
@@ -162,18 +167,15 @@ def _classes_at_fault(progress: Progress) -> int:
 
 
 def _errors(progress: Progress, store: Store) -> list[str]:
-    """Return a line about a driver that failed instead of driving, and one about what highway-env did not confirm."""
-    errors = [one for one in progress.classes.values() if one.id.startswith(f"{ERROR}/")]
-    own = [one for one in errors if one.id != f"{ERROR}/{DIFFERS}"]
-    unconfirmed = [one for one in errors if one not in own]
+    """Return a line about a driver that failed instead of driving, and lines on what highway-env did not confirm."""
+    found = [one for one in progress.classes.values() if one.id.startswith(f"{ERROR}/")]
     lines = []
-    for found, what in ((own, "The driver itself failed"), (unconfirmed, "highway-env did not confirm the failure")):
-        if found:
-            number, first = sum(one.count for one in found), min(one.first for one in found)
-            count = "every execution" if number == progress.executions else f"{number} executions"
-            error = store.execution(first).record.error or {}
-            lines.append(f"{what} in {count}, first in {first}: {sentence(error.get('message', ''))}")
-    return lines
+    if found:
+        number, first = sum(one.count for one in found), min(one.first for one in found)
+        count = "every execution" if number == progress.executions else f"{number} executions"
+        error = store.execution(first).record.error or {}
+        lines.append(f"The driver itself failed in {count}, first in {first}: {sentence(error.get('message', ''))}")
+    return lines + [hanging("", line) for line in not_confirmed(known(store.folder))]
 
 
 def _line_of(spec: str, width: int, progress: Progress) -> str:

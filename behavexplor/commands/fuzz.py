@@ -42,7 +42,7 @@ from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ray_cluster import MAX_NODES, parse_cluster
 from behavexplor.execution.simulation import default_method
 from behavexplor.fuzz.methods import METHODS, describe_method
-from behavexplor.judge.specs import DIFFERS, ERROR
+from behavexplor.judge.specs import ERROR
 
 
 @dataclass(frozen=True)
@@ -214,8 +214,7 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, files:
     write_json(files.json, summary_values(found, folder, checks))
     properties = {"env": found.env, "ads": found.ads, "method": found.method, **found.digests}
     write_junit(files.junit, f"fuzz {found.env}", tested_classes(found, checks), properties)
-    unconfirmed = sum(one.count for one in found.classes if one.id == f"{ERROR}/{DIFFERS}")
-    if code == OK and found.violations.get(ERROR, 0) - unconfirmed == found.executions:
+    if code == OK and found.violations.get(ERROR, 0) == found.executions:
         say(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
         return EXECUTION_FAILED
     passed, words = checks.outcome(found) if code == OK else (True, "")
@@ -237,6 +236,8 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
             code, failure = EXECUTION_FAILED, f"The campaign can no longer write to disk: {error}"
         else:
             failure = ended
+    if code == OK and (lost := _confirm(campaign, display)):
+        code, failure = EXECUTION_FAILED, lost
     progress = campaign.progress
     if 0 < progress.executions >= len(store):  # an interruption may come before all stored executions are counted
         say(campaign_summary(progress, store, program(), method, display.budget), file=text)
@@ -248,6 +249,19 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
     if code == OK and not failure and 0 < progress.executions == progress.resumed:
         display.say("The run was already complete: a larger --budget extends it.")
     return code
+
+
+def _confirm(campaign: Campaign, display: Display) -> str | None:
+    """Let highway-env confirm failures, and return why that could not be done; None if nothing went wrong."""
+    if campaign.stopping or not (count := len(campaign.unconfirmed)):
+        return None
+    display.say(f"Confirming {count} failures in highway-env")
+    try:
+        with display.meter(count, "failures") as meter:
+            campaign.confirm(meter.show)
+    except (ExecutionError, OSError) as error:
+        return str(error)
+    return None
 
 
 def _checked_workers(workers: int | None, cluster: str | None) -> int:

@@ -2,7 +2,9 @@
 
 import json
 import sys
+from dataclasses import asdict
 
+from behavexplor.campaign.confirmation import known
 from behavexplor.campaign.record import Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, program
@@ -13,16 +15,18 @@ from behavexplor.commands.wording import say
 def records(run: RunFolder) -> int:
     """Print the record of each execution as one line of JSON, in order. Equal campaigns print equal lines.
 
-    A failure also says whether the driving system was at fault, as far as its trace can tell.
+    A failure also says whether the driving system was at fault, as far as its trace can tell, and one that highway-env
+    itself has repeated says as "confirmation" what came out.
 
     From a damaged run, all readable records are printed, losses are reported on stderr, and the exit code is 2.
 
     Args:
         run: The run folder.
     """
-    store, losses = Store.read(run), Losses()
+    store, losses, found = Store.read(run), Losses(), known(run)
     for record in store.records(losses):
         values = record.to_dict() | ({"at_fault": record.at_fault} if record.failed else {})
+        values |= {"confirmation": asdict(found[record.id])} if record.id in found else {}
         sys.stdout.write(json.dumps(values, separators=(",", ":")) + "\n")
     sys.stdout.flush()
     store.close()

@@ -3,6 +3,7 @@
 import shlex
 import sys
 import textwrap
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,8 @@ from typing import Annotated
 import tyro
 
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.judgment import repeat_execution
+from behavexplor.campaign.confirmation import can_be_confirmed, keep, known
+from behavexplor.campaign.judgment import confirmation, repeat_execution
 from behavexplor.campaign.provenance import DRIVING, Consent
 from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.same_driver import accepted_run
@@ -51,7 +53,8 @@ def replay(
 ) -> int:
     """Draw one execution as an animation (GIF) and its decisive frame (PNG), and run it again.
 
-    The exit code is 1 if the repeated execution differs from the recorded one.
+    The exit code is 1 if the repeated execution differs from the recorded one. A failure in one of highway-env's own
+    environments is confirmed there, unless the run says --no-confirm.
 
     Args:
         run: The run folder.
@@ -74,7 +77,7 @@ def replay(
         _show(execution, _road(config, run), place)
         say("The same episode in a loop of your own; any policy can take the place of env.driver:")
         say(textwrap.indent(snippet(run, number), "    "))
-    return _compare(execution, config)
+    return _compare(execution, config, run)
 
 
 def _road(config: CampaignConfig, run: Path) -> RoadShape:
@@ -173,9 +176,19 @@ def _driven(
     return trace, avoids(trace, recorded, witness.begin)
 
 
-def _compare(execution: Execution, config: CampaignConfig) -> int:
-    """Run an execution again, in a separate process, and return the exit code of the comparison."""
+def _compare(execution: Execution, config: CampaignConfig, run: Path) -> int:
+    """Run an execution again, in a separate process, and return the exit code of the comparison.
+
+    A failure in one of highway-env's environments is also confirmed there, if that has not been tried.
+    """
+    found = known(run).get(execution.id)
     with start_executor(config.target, 1) as executor:
         again = repeat_execution(executor, execution)
+        if found is None and config.confirm and can_be_confirmed(execution.record):
+            found = confirmation(executor, execution)
+            with suppress(OSError):  # someone else's folder
+                keep(run, execution.id, found)
+    if found is not None:
+        say(found.said_of(execution.id), file=sys.stdout if found.state == "confirmed" else sys.stderr)
     say(again.words, file=sys.stdout if again.reproduced else sys.stderr)
     return OK if again.reproduced else CHECK_FAILED

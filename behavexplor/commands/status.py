@@ -22,7 +22,8 @@ def status(run: RunFolder, *, json_file: JsonFile = None) -> int:
     found, is_running = summarize(run), is_being_written(run)
     ago = max(time.time() - last_written(run), 0.0)
     write_json(json_file, {"run": str(run), "running": is_running, "written_ago": ago, **found.to_dict()})
-    say("\n".join([_head(found, is_running=is_running, ago=ago), *_class_lines(found)]), file=output)
+    unsure = [hanging("", line) for line in found.not_confirmed]
+    say("\n".join([_head(found, is_running=is_running, ago=ago), *_class_lines(found), *unsure]), file=output)
     return OK
 
 

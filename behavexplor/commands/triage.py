@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
+from behavexplor.campaign.confirmation import known, not_confirmed
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import HowToRun, RunFolder, Switch
@@ -40,7 +41,7 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A failure could not be examined: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    say(report(found))
+    say("\n".join([report(found), *(hanging("", line) for line in not_confirmed(known(run)))]))
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:
         command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"

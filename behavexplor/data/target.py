@@ -33,8 +33,7 @@ class Conditions:
             processes only.
         memory_limit: Memory limit of one worker process [GiB], where the system can set it.
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/highway-policies.md).
-        confirm: Repeat each failure in highway-env's own environments with highway-env itself. This takes most of the
-            time if the driver fails often.
+        confirm: Repeat the first failures of each class in highway-env's own environments with highway-env itself.
         stochastic: Draw the actions of a stochastic policy as in its training, reproducibly, instead of deciding
             deterministically.
 

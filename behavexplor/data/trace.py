@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 from operator import gt
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +104,7 @@ class Trace:
     decisions: Mapping[str, Floats] = field(default_factory=dict)
     signals: Mapping[str, Floats] = field(default_factory=dict)
     present: Bools = field(default_factory=lambda: np.ones((0, 0), dtype=bool))
-    partner: int = -1
+    partner: int = field(default_factory=lambda: -1)  # no default of the class, which `__getattr__` would never see
 
     def __post_init__(self) -> None:
         self._freeze(step=RESOLUTION)
@@ -283,6 +283,28 @@ class Trace:
         trace._validate()
         return trace
 
+    @classmethod
+    def of_packed(cls, data: bytes, **computed: NDArray[Any]) -> Self:
+        """Return the trace in valid bytes. They are read when a field is asked for.
+
+        Args:
+            data: bytes that `to_bytes` wrote.
+            computed: what has been computed from the trace, by names that are not those of fields.
+        """
+        trace = object.__new__(cls)
+        trace.__dict__.update(computed, _packed=data)
+        return trace
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Read the bytes of `of_packed`, and return an attribute that was missing before."""
+            data = self.__dict__.get("_packed")
+            if data is None or name not in _FIELDS:
+                raise AttributeError(f"a trace has no attribute {name!r}")
+            self.__dict__.update(vars(self.from_bytes(data)) | self.__dict__)
+            return self.__dict__[name]
+
     def save(self, path: Path) -> None:
         """Write the trace as a file."""
         write_durably(path, self.to_bytes())
@@ -298,6 +320,7 @@ class Trace:
 
 
 _ALL_PRESENT.setflags(write=False)
+_FIELDS = frozenset(f.name for f in fields(Trace))
 _ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in _OTHERS)
 
 

@@ -17,8 +17,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.checked_imports import import_checked
 from behavexplor.execution.confinement import confine
-from behavexplor.execution.confirmation import confirmed, driven_compiled, repeated
-from behavexplor.execution.executor import ADSError
+from behavexplor.execution.executor import LOCK_STEP, ADSError
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
 from behavexplor.execution.forkserver import slow_modules
 from behavexplor.execution.preflight import preflight_warnings
@@ -27,9 +26,8 @@ from behavexplor.execution.service import Recipe, Service
 from behavexplor.execution.simulation import Simulation, compile_kernels
 from behavexplor.jit import keep_code_in
 
-LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in one process
-
 EXECUTE: Final = "execute"  # functions of the service, beside `FINGERPRINT`
+ORIGINAL: Final = "original"
 PREFLIGHT: Final = "preflight"
 LOGICAL: Final = "logical"
 ROAD: Final = "road"
@@ -45,15 +43,12 @@ class Evaluator(Service):
         target: the fields of a `behavexplor.data.target.CheckedTarget`.
 
     Attributes:
-        confirms: whether highway-env itself confirms each failure that the compiled engine finds.
         target: the driving system and its environment.
         is_confined: whether the driving system is third-party code.
         driver: object of this process that drives in place of the driving system of that name; None for none.
         functions: see `behavexplor.execution.service.Service`.
         batch: executes many scenarios in lock-step; None if the ADS or the environment cannot.
     """
-
-    confirms = True
 
     def __init__(self, lock_step: int = LOCK_STEP, **target: Any) -> None:
         self.target = CheckedTarget(**target)
@@ -62,6 +57,7 @@ class Evaluator(Service):
         self.driver: ADS | None = None
         self.functions: Mapping[str, Callable[[bytes], bytes]] = {
             EXECUTE: self.execute,
+            ORIGINAL: self.original,
             PREFLIGHT: self.preflight,
             LOGICAL: self.logical,
             ROAD: self.road,
@@ -69,7 +65,6 @@ class Evaluator(Service):
             FINGERPRINT: fingerprint,
         }
         self.batch: ScenarioBatch | None = None
-        self._confirms = False
         self._unprevented: tuple[str, ...] = ()
         self._notices: list[str] = []
 
@@ -97,9 +92,8 @@ class Evaluator(Service):
         except InputError as error:
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(self._lock_step)
-        self._confirms = self.confirms and self.target.confirm and self.simulation.logical.has_original
         if episodes is not None:
-            self.batch = ScenarioBatch(self.simulation, episodes, self.answer, confirms=self._confirms)
+            self.batch = ScenarioBatch(self.simulation, episodes, self.answer)
 
     def execute(self, scenario: bytes) -> bytes:
         """Execute a scenario.
@@ -113,11 +107,18 @@ class Evaluator(Service):
         Raises:
             ADSError: if the ADS fails.
         """
-        if self.batch is not None:
-            return self.batch.alone(scenario)
-        read = _scenario(scenario)
-        trace = self.simulation.run(read)
-        return self.answer(repeated(self.simulation, read, trace) if self._confirms else trace)
+        return self.answer(self.simulation.run_alone(_scenario(scenario)))
+
+    def original(self, scenario: bytes) -> bytes:
+        """Execute a scenario in highway-env itself, and return its trace as bytes.
+
+        Args:
+            scenario: the scenario as JSON, of one of highway-env's environments.
+
+        Raises:
+            ADSError: if the ADS fails.
+        """
+        return self.simulation.run(_scenario(scenario)).to_bytes()
 
     def answer(self, trace: Trace) -> bytes:
         """Return what is told about an executed scenario: its trace, see `behavexplor.data.trace.Trace.to_bytes`."""
@@ -158,17 +159,12 @@ class ScenarioBatch:
         simulation: simulation with the ADS that drives.
         episodes: episodes of that simulation. The number that can still begin now is the capacity of the batch.
         answer: function from a trace to the result of its request.
-        confirms: whether highway-env itself confirms failures; see `behavexplor.execution.confirmation`.
     """
 
-    def __init__(
-        self, simulation: Simulation, episodes: LockStep, answer: Callable[[Trace], bytes], *, confirms: bool
-    ) -> None:
+    def __init__(self, simulation: Simulation, episodes: LockStep, answer: Callable[[Trace], bytes]) -> None:
         self._simulation = simulation
         self._episodes = episodes
         self._answer = answer
-        self._confirms = confirms
-        self._scenarios: dict[int, Scenario] = {}
         self.capacity = episodes.free
 
     def begin(self, key: int, request: bytes) -> None:
@@ -180,7 +176,6 @@ class ScenarioBatch:
         scenario = _scenario(request)
         self._simulation.logical.check(scenario)
         self._episodes.begin(key, scenario)
-        self._scenarios[key] = scenario
 
     def advance(self) -> list[tuple[int, bytes | Exception | None]]:
         """Advance all episodes by one decision.
@@ -194,41 +189,9 @@ class ScenarioBatch:
         except (ADSError, InputError) as error:
             keys = self._episodes.give_up()
             if self.capacity == 1 and isinstance(error, ADSError):  # not the last of many, which depends on the others
-                return [(key, self._result(key, error)) for key in keys]
-            self._scenarios.clear()
+                return [(key, error) for key in keys]
             return [(key, None) for key in keys]
-        return [(key, self._result(key, trace)) for key, trace in ended]
-
-    def alone(self, request: bytes) -> bytes:
-        """Execute a scenario while no other one runs, with the same outcome as in company.
-
-        Raises:
-            ADSError: if the ADS fails.
-            InputError: if the scenario does not fit this environment.
-        """
-        scenario = _scenario(request)
-        if not self._simulation.logical.has_original:
-            return self._answer(self._simulation.run(scenario))
-        try:
-            driven = driven_compiled(self._simulation, scenario)
-        except InputError:  # the engine cannot begin it, and what highway-env itself has driven needs no confirmation
-            return self._answer(self._simulation.run(scenario))
-        result = self._outcome(scenario, driven)
-        if isinstance(result, Exception):
-            raise result
-        return result
-
-    def _result(self, key: int, driven: Trace | ADSError) -> bytes | Exception:
-        return self._outcome(self._scenarios.pop(key), driven)
-
-    def _outcome(self, scenario: Scenario, driven: Trace | ADSError) -> bytes | Exception:
-        """Return the answer for an executed scenario, or how the ADS failed."""
-        try:
-            if self._confirms:
-                driven = confirmed(self._simulation, scenario, driven)
-        except ADSError as error:
-            return error
-        return driven if isinstance(driven, ADSError) else self._answer(driven)
+        return [(key, self._answer(trace)) for key, trace in ended]
 
 
 def simulation_of(target: Target, driver: ADS | None = None, render_mode: str | None = None) -> Simulation:

@@ -8,10 +8,10 @@ from concurrent.futures import Future
 from types import TracebackType
 from typing import ClassVar, Final, Self
 
-from behavexplor.judge.specs import DIFFERS
-
 MOST_WORKERS: Final = 64  # processes on one machine
 AHEAD: Final = 4  # calls under way for each worker
+LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in one process
+BATCHES: Final = 2  # batches of calls for each worker: one under way, and one ahead
 
 
 class Executor(ABC):
@@ -21,9 +21,11 @@ class Executor(ABC):
 
     Attributes:
         runs_here: whether calls run in this process, while their results are waited for.
+        room: number of further calls with which everything that has begun would be busy, and have one more batch ahead.
     """
 
     runs_here: ClassVar[bool] = False
+    room: int = 0
 
     @abstractmethod
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
@@ -68,15 +70,13 @@ class ADSError(Exception):
     Attributes:
         kind: kind of the failure: "raised" (it raised an exception), "invalid" (its answer is not a valid action),
             "exit" (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time),
-            "crash" (its process died), or "differs" (highway-env did not confirm what the compiled engine found; see
-            `behavexplor.execution.confirmation`).
+            or "crash" (its process died).
         message: details of the failure.
         place: where the ADS raised an exception, see `behavexplor.errors.place_of`. It is no part of a record.
     """
 
     def __init__(self, kind: str, message: str, place: str = "") -> None:
-        what = "highway-env did not confirm it" if kind == DIFFERS else f"the ADS failed ({kind})"
-        super().__init__(f"{what}: {message}{place}")
+        super().__init__(f"the ADS failed ({kind}): {message}{place}")
         self.kind = kind
         self.message = message
         self.place = place

@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from behavexplor.errors import InputError, described
 from behavexplor.execution.demand import AwaitedFuture, Demand
-from behavexplor.execution.executor import ADSError, Executor
+from behavexplor.execution.executor import BATCHES, ADSError, Executor
 from behavexplor.execution.forkserver import CAN_SHARE, share_imports, without_script
 from behavexplor.execution.messages import READY, STARTED, SUSPECT, Request, settle, split_key
 from behavexplor.execution.service import Recipe
@@ -65,8 +65,8 @@ class WorkerPool(Executor):
     """Calls functions of a service in worker processes. A process that dies or hangs is replaced.
 
     One thread supervises all workers. The first one compiles the kernels for all. Others start when there are more
-    calls than the running ones can process at a time, or when the caller waits for results most of the time. For a
-    service that is fast compared with its caller, a single worker with a full batch is faster than several.
+    calls than the running ones can process in `BATCHES` batches, or when the caller waits for results most of the time.
+    For a service that is fast compared with its caller, a single worker with a full batch is faster than several.
 
     When a batch fails, it is unknown which of its calls is to blame. Each call is then made again alone, so that its
     outcome does not depend on the other calls.
@@ -111,6 +111,13 @@ class WorkerPool(Executor):
             self._waiting.append(_Task(future, function, data, alone))
         self._interrupt()
         return future
+
+    @property
+    def room(self) -> int:  # type: ignore[override]
+        """Number of further calls for the workers that are ready; see `Executor`."""
+        workers = [worker for worker in self._workers if worker]
+        calls = len(self._waiting) + sum(len(worker.tasks) for worker in workers)
+        return BATCHES * sum(worker.capacity for worker in workers if worker.is_ready) - calls
 
     def stop(self) -> None:
         """Cancel calls that have not started, and ask running calls to end early."""
@@ -250,7 +257,8 @@ class WorkerPool(Executor):
         if self._recipe.long_calls or not ready or len(workers) == len(self._workers):
             return
         calls = len(self._waiting) + sum(len(worker.tasks) for worker in workers)
-        wanted = -(-calls // max(worker.capacity for worker in ready))
+        capacity = max(worker.capacity for worker in ready)
+        wanted = -(-calls // (capacity if capacity == 1 else BATCHES * capacity))
         if self._demand.is_high and len(ready) == len(workers):
             wanted = max(wanted, 2 * len(workers))
         for place, worker in enumerate(self._workers):
@@ -332,7 +340,7 @@ class _Worker:
     @property
     def is_alone(self) -> bool:
         """True if the worker processes a call that needs it to itself."""
-        return any(task.alone for task in self.tasks.values())
+        return len(self.tasks) == 1 and next(iter(self.tasks.values())).alone
 
     def has_room(self, share: int) -> bool:
         """Return whether the worker can take one more call beside others, up to a share of all calls."""

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 from weakref import WeakSet
 
 from behavexplor.errors import InputError, missing_library, unknown_name
-from behavexplor.execution.executor import Executor, available_cores
+from behavexplor.execution.executor import BATCHES, LOCK_STEP, Executor, available_cores
 from behavexplor.execution.fingerprint import FINGERPRINT, difference, machine_fingerprint
 from behavexplor.execution.messages import REFUSED, RESULT, answered_error, error_answer, settle
 from behavexplor.execution.pool import BEGIN_SECONDS, WorkerPool
@@ -165,6 +165,12 @@ class RayExecutor(Executor):
         future: Future[bytes] = Future()
         self._next(self._add, _Call(future, function, data, 0))
         return future
+
+    @property
+    def room(self) -> int:  # type: ignore[override]
+        """Number of further calls for the nodes that are ready; see `Executor`. The batch of a node is not known."""
+        calls = list(self._ready.values())
+        return BATCHES * LOCK_STEP * len(calls) - sum(map(len, calls)) - len(self._waiting)
 
     def stop(self) -> None:
         """Cancel calls that have not started, and ask running calls to end early."""

@@ -125,6 +125,20 @@ class Simulation:
         ((_, trace),) = run_episodes(self._single, [scenario])
         return trace
 
+    def run_alone(self, scenario: Scenario) -> Trace:
+        """Run a scenario as a campaign does, and return its trace: compiled, as far as the engine can begin it.
+
+        Raises:
+            ADSError: if the ADS fails.
+        """
+        if not self.logical.has_original:
+            return self.run(scenario)
+        try:
+            ((_, trace),) = self.run_all([scenario])
+        except InputError:  # the engine cannot begin it
+            return self.run(scenario)
+        return trace
+
     def run_all(self, scenarios: Sequence[Scenario], batch: int = 64) -> Iterator[tuple[int, Trace]]:
         """Run scenarios to their ends, in lock-step if the ADS and the vector environment support it.
 

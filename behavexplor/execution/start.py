@@ -14,7 +14,7 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import LOGICAL, PREFLIGHT, evaluator_recipe, needs_confinement
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import BATCHES, Executor
 from behavexplor.execution.fingerprint import FINGERPRINT
 from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.ray_cluster import RayExecutor
@@ -144,6 +144,12 @@ class InProcessExecutor(Executor):
         self._waiting: deque[tuple[_DrivenFuture, bytes]] = deque()
         self._running: dict[int, tuple[_DrivenFuture, bytes]] = {}
         self._keys = count()
+
+    @property
+    def room(self) -> int:  # type: ignore[override]
+        """Number of further calls for the batch; see `Executor`."""
+        capacity = self._batch.capacity if self._batch else 0
+        return BATCHES * capacity - len(self._waiting) - len(self._running)
 
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
         """Call a function at once, or in a batch that advances while the result is waited for."""

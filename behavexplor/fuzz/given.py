@@ -1,5 +1,6 @@
 """Given scenarios, one after the other: no search, for repeating what was found with another driver."""
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -31,6 +32,7 @@ class Given:
     """Given scenarios: every scenario of a file, in order."""
 
     Options: ClassVar[type] = GivenOptions
+    foreseen = sys.maxsize
 
     def __init__(self, logical: LogicalScenario, seed: int, options: GivenOptions) -> None:  # noqa: ARG002
         self._scenarios = read_scenarios(Path(options.file), logical)

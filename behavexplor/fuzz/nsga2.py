@@ -42,8 +42,8 @@ class NSGA2Options:
 class _BredGeneration:
     """Individuals of one generation of pymoo. It is complete once all of them have objectives."""
 
-    def __init__(self, population: Any) -> None:
-        self.population = population
+    def __init__(self, population: Any, origin: str) -> None:
+        self.population, self.origin = population, origin
         self.vectors: Floats = population.get("X").astype(np.float64)
         self.values: dict[int, Floats] = {}  # objectives by index
 
@@ -68,14 +68,18 @@ class NSGA2:
         self._in_flight: dict[int, tuple[_BredGeneration, int]] = {}
         self._generations = 0
 
+    @property
+    def foreseen(self) -> int:
+        """Number of individuals of the generation that are left to ask for."""
+        return len(self._queue)
+
     def ask(self) -> Candidate:
         """Return the next individual that is not executed yet."""
         rng = self._asker.draws()
         if not self._queue:
             self._plan(rng)
         generation, index = self._queue.popleft()
-        origin = OFFSPRING if self._generations else INITIAL
-        candidate = self._asker.candidate(generation.vectors[index], rng, origin)
+        candidate = self._asker.candidate(generation.vectors[index], rng, generation.origin)
         self._in_flight[candidate.number] = generation, index
         return candidate
 
@@ -86,7 +90,7 @@ class NSGA2:
             bred = self._algorithm.initialization.do(
                 self._algorithm.problem, self._algorithm.pop_size, random_state=rng
             )
-        generation = _BredGeneration(bred)
+        generation = _BredGeneration(bred, OFFSPRING if self._generations else INITIAL)
         self._queue.extend((generation, index) for index in range(len(generation.vectors)))
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002

@@ -113,6 +113,11 @@ class EliteSearch:
         size, numbers = self._asker.encoding.size, {ELITES: ((), np.int64)}
         self._archive: Any = getattr(archives, archive)(solution_dim=size, extra_fields=numbers, seed=0, **settings)
 
+    @property
+    def foreseen(self) -> int:
+        """Number of uniform scenarios that are left to ask for."""
+        return max(int(self._options.initial) - self._asker.asked, 0)
+
     def ask(self) -> Candidate:
         """Return a uniform scenario at first, and while the archive is empty, then variations of elites."""
         rng = self._asker.draws()

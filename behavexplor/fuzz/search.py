@@ -53,6 +53,9 @@ class SearchMethod(Protocol):
     candidates may be in flight, but their results arrive in the order in which the method proposed them. The same
     sequence of calls of `ask` and `tell` must give the same candidates. So draw every random choice for candidate i
     from `draws(seed, i)`.
+
+    A method may have an attribute `foreseen`: how many of its next candidates no further result can change, such as
+    the rest of a generation. A campaign asks for them early, so that all workers have enough to do.
     """
 
     Options: ClassVar[type]

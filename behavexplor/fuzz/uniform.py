@@ -1,5 +1,6 @@
 """Uniform sampling, the baseline that every search must beat."""
 
+import sys
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -19,6 +20,7 @@ class Uniform:
     """Uniform sampling: every scenario is drawn independently, with each parameter uniform in its range."""
 
     Options: ClassVar[type] = UniformOptions
+    foreseen = sys.maxsize
 
     def __init__(self, logical: LogicalScenario, seed: int, options: UniformOptions) -> None:  # noqa: ARG002
         self._logical = logical

@@ -32,7 +32,6 @@ from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, RESOLUTION, Trace
 from behavexplor.errors import InputError
 
 ERROR: Final = "error"  # recorded in place of a violated spec if the ADS failed instead of returning an action
-DIFFERS: Final = "differs"  # kind of an error that is not counted as the ADS's: highway-env did not confirm a failure
 NOTHING_NEAR = 1000.0  # degree without any NPC or without any illegal line [m]
 _TOLERANCE = 1e-10  # slack of the bounds [m]; far below a trace's resolution, so that parallel motion makes few ties
 _FIRST_LOOK = 16  # number of exact distances computed first

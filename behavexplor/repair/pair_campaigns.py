@@ -27,7 +27,7 @@ from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.judge.fault import collision_fault, is_at_fault
 from behavexplor.judge.robustness import load_specs
-from behavexplor.judge.specs import DIFFERS, Spec, Verdict, judge
+from behavexplor.judge.specs import Spec, Verdict, judge
 from behavexplor.repair.pairs import Pairs, paired
 
 ONLY_FIRST, ONLY_SECOND = "only-first-fails", "only-second-fails"
@@ -111,19 +111,19 @@ def _submitted(driven: Driven, candidate: Candidate) -> "Future[bytes]":
     return driven.executor.submit(EXECUTE, driven.logical.adopted(candidate.scenario).to_json().encode())
 
 
-def _result(first: Driven, scenario: Scenario, future: "Future[bytes]") -> tuple[Trace, str | None]:
-    """Return the trace of an execution, and the kind of the failure if the ADS failed instead of driving."""
+def _result(first: Driven, scenario: Scenario, future: "Future[bytes]") -> tuple[Trace, bool]:
+    """Return the trace of an execution, and whether the ADS failed instead of driving."""
     try:
-        return Trace.from_bytes(future.result()), None
-    except ADSError as error:
-        return first.logical.first_frame(scenario, ERROR), error.kind
+        return Trace.from_bytes(future.result()), False
+    except ADSError:
+        return first.logical.first_frame(scenario, ERROR), True
 
 
-def verdict_at_fault(trace: Trace, error: str | None, specs: Sequence[Spec]) -> Verdict:
+def verdict_at_fault(trace: Trace, is_error: bool, specs: Sequence[Spec]) -> Verdict:
     """Return the verdict on a driver. Only failures at fault count, see `Record.at_fault`."""
     verdict = judge(trace, specs)
-    if error is not None:
-        return replace(verdict, violated=() if error == DIFFERS else (ERROR,))
+    if is_error:
+        return replace(verdict, violated=(ERROR,))
     return verdict if is_at_fault(collision_fault(trace, verdict.violated)) else replace(verdict, violated=())
 
 
@@ -136,6 +136,7 @@ def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe)
     """
     with opened(config, folder_in(folder.parent, folder.name), workers, resume=False) as ready:
         ready.campaign.run(lambda progress: observe(progress.executions))
+        ready.campaign.confirm()
         return ready.warnings
 
 

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from behavexplor.campaign.config import CONFIG, Budget, CampaignConfig, stored_config
+from behavexplor.campaign.confirmation import known as known_confirmations
+from behavexplor.campaign.confirmation import not_confirmed
 from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
@@ -75,6 +77,7 @@ class ReportedRun:
     digests: Mapping[str, str]  # SHA-256 of the read data and of the driver's files, by name
     stages: Mapping[str, float]  # time in each stage [s], see `behavexplor.campaign.progress`; empty if it is not known
     own_rate: str = ""  # a sentence that says which number is the driver's own failure rate
+    confirmation: str = ""  # what highway-env itself said of failures; empty if it was not asked
 
     @property
     def name(self) -> str:
@@ -154,7 +157,15 @@ def read_run(folder: Path) -> ReportedRun:
     )
     minimized = read_minimized(folder)
     found = (tuple(entries), tuple(findings), examined, weaknesses, minimized)
-    return ReportedRun(folder, config, *found, digests, stages, own)
+    return ReportedRun(folder, config, *found, digests, stages, own, _confirmation(folder))
+
+
+def _confirmation(folder: Path) -> str:
+    """Return what highway-env itself said of a run's failures, in words."""
+    tried = known_confirmations(folder)
+    unsure = not_confirmed(tried)
+    head = f"highway-env itself was asked about {len(tried)} failures and confirms {len(tried) - len(unsure)}."
+    return " ".join([head, *unsure]) if tried else ""
 
 
 def _without_path(config: CampaignConfig) -> CampaignConfig:

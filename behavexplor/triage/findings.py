@@ -25,7 +25,6 @@ from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
-from behavexplor.judge.specs import DIFFERS
 
 T = TypeVar("T")
 
@@ -272,12 +271,11 @@ def error_finding(record: Record, *, happened_again: bool) -> Finding:
     """Return the finding for an execution in which the ADS failed."""
     failure = record.error or {}
     kind, message = failure.get("kind", ""), failure.get("message", "")
-    what = "It went otherwise when highway-env repeated it" if kind == DIFFERS else "The driving system failed"
     return Finding(
         id=record.id,
         spec=ERROR,
         class_id=f"{ERROR}/{kind}",
-        words=f"{what}: {message}",
+        words=f"The driving system failed: {message}",
         same_verdict=happened_again,
         same_trace=happened_again,
     )

@@ -19,8 +19,7 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
-from behavexplor.execution.evaluator import LOCK_STEP
-from behavexplor.execution.executor import AHEAD, ADSError, Executor, in_order
+from behavexplor.execution.executor import AHEAD, LOCK_STEP, ADSError, Executor, in_order
 from behavexplor.execution.rollout import LockStep, run_episodes
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import logical_of_target

@@ -1,6 +1,7 @@
 """Triage of a whole run: every failure is examined once, and the findings are kept in the run folder."""
 
 import json
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -11,7 +12,8 @@ import numpy as np
 
 from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.judgment import ads_failure
+from behavexplor.campaign.confirmation import unconfirmed
+from behavexplor.campaign.judgment import ads_failure, confirmed
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.trace import WEAKNESS_NAMES, Trace, weakness_names
@@ -98,6 +100,8 @@ class RunTriage:
         try:
             for number, future in zip(self.waiting, in_order(executor, calls, AHEAD * self._workers), strict=True):
                 yield _finding(self._run, self._store.execution(number), future)
+            missing = unconfirmed(self._config, self._run, self._store.records())
+            deque(confirmed(executor, self._store, missing), maxlen=0)
         finally:
             executor.shutdown(wait=False)
 

@@ -32,9 +32,10 @@ class FakeExecutor(Executor):
 
     runs_here = True
 
-    def __init__(self, executed=None, fail_at=None):
+    def __init__(self, executed=None, fail_at=None, room=0):
         self.executed = [] if executed is None else executed
         self.fail_at = fail_at
+        self.room = room
 
     def submit(self, _evaluate, scenario):
         future = Future()
@@ -50,6 +51,7 @@ class FakeThreads(ThreadPoolExecutor):
     """The same in threads, which finish in any order."""
 
     runs_here = False
+    room = 7
 
     def submit(self, _evaluate, scenario):
         return super().submit(lambda: simulate(parse_scenario(scenario.decode())).to_bytes())
@@ -124,6 +126,31 @@ def test_the_same_seed_gives_the_same_records(tmp_path, method, recorded):
     assert [record["id"] for record in records] == list(range(40))
     assert run(tmp_path / "b", method=method) == records
     assert run(tmp_path / "c", method=method, seed=4, budget="10") != records[:10]
+
+
+@pytest.mark.parametrize(("method", "early"), [("uniform", 30), ("nsga2", 20), ("map-elites", 20), ("random", 8)])
+def test_candidates_that_need_no_result_are_executed_early(tmp_path, method, early, recorded):
+    executed, first_tell = FakeExecutor(room=1), []
+
+    class Told(Store):
+        def add(self, execution):
+            first_tell.append(len(executed.executed))
+            super().add(execution)
+
+    config = CampaignConfig(budget="40", seed=3, method=method)
+    store = Told.create(tmp_path / "run", config.to_yaml())
+    campaign = Campaign(config, search_method(config, LOGICAL), LOGICAL, store, executed)
+    submit = executed.submit
+
+    def submit_until_full(*given):
+        executed.room = 29 - len(executed.executed)
+        return submit(*given)
+
+    executed.submit = submit_until_full
+    campaign.run(lambda _: None)
+    assert [execution.record.to_dict() for execution in store.executions()] == recorded(method)
+    store.close()
+    assert first_tell[0] == early
 
 
 def test_records_do_not_depend_on_the_executor(tmp_path, recorded):

@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from behavexplor.campaign.config import Budget
+from behavexplor.campaign.confirmation import FOLDER, Confirmation, keep, known
 from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.commands.display import Display, summary
 from behavexplor.commands.wording import clock
@@ -128,14 +129,19 @@ def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the
     )
 
 
-def test_what_is_not_confirmed_is_no_failure_of_the_driver(store):  # noqa: F811 - the fixture
-    failed = []
-    for number, kind in enumerate(["differs", "raised", "differs"]):
-        one = execution(number, ["error"], f"error/{kind}")
-        failed.append(replace(one, record=replace(one.record, error={"kind": kind, "message": f"m{number}"})))
-    text = summarized(store, *failed)
-    assert "The driver itself failed in 1 executions, first in 1: m1\n" in text
-    assert "highway-env did not confirm the failure in 2 executions, first in 0: m0\n" in text
+def test_what_is_not_confirmed_is_said_to_be_an_error_of_this_package(store):  # noqa: F811 - the fixture
+    keep(store.folder, 0, Confirmation("disagrees", "the vehicles are up to 3 m\x1b apart"))
+    keep(store.folder, 1, Confirmation("confirmed"))
+    (store.folder / FOLDER / "000002.json").write_text("[" * 100_000)
+    (store.folder / FOLDER / "000003.json").write_text('{"state": "sure"}')
+    assert list(known(store.folder)) == [0, 1]
+    failed = [execution(number, ["collision"], "R1/a") for number in range(3)]
+    text = " ".join(summarized(store, *failed).split())
+    assert (
+        "highway-env does not confirm the failure in execution 0, which is an error of behavexplor and not of the "
+        "driver: the vehicles are up to 3 m\\x1b apart" in text
+    )
+    assert "in execution 1" not in text
 
 
 def test_the_summary_of_a_campaign_without_failures(store):  # noqa: F811 - the fixture

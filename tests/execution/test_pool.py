@@ -263,7 +263,7 @@ def test_another_worker_starts_if_the_caller_does_nothing_but_wait(pool_of_slow)
 
 def test_other_workers_start_at_once_if_there_are_more_calls_than_one_can_take(pool_of_slow):
     pool, folder = pool_of_slow
-    futures = [pool.submit("slow", b"0.5") for _ in range(9)]
+    futures = [pool.submit("slow", b"0.5") for _ in range(17)]
     for future in futures:
         future.result()
     end = time.monotonic() + 60.0

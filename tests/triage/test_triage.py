@@ -20,16 +20,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import judge
 from behavexplor.triage.examination import repeat
-from behavexplor.triage.findings import (
-    TRIAGE,
-    Finding,
-    Sighting,
-    Triage,
-    WeaknessRecord,
-    error_finding,
-    read_witness,
-    witness_path,
-)
+from behavexplor.triage.findings import TRIAGE, Finding, Sighting, Triage, WeaknessRecord, read_witness, witness_path
 from behavexplor.triage.witness import replay_witness
 from tests.drivers import Cruiser
 
@@ -176,18 +167,6 @@ def test_an_ads_that_fails_otherwise_is_a_class_of_its_own(tmp_path):
     assert main(["triage", str(tmp_path / "run"), "--workers", "0", "--quiet"]) == OK
     findings = Triage.read(tmp_path / "run").findings
     assert [(f.spec, f.class_id, f.same_verdict) for f in findings] == [("error", "error/exit", True)] * 2
-
-
-@pytest.mark.parametrize(
-    ("kind", "words"),
-    [
-        ("raised", "The driving system failed: no gap"),
-        ("differs", "It went otherwise when highway-env repeated it: no gap"),
-    ],
-)
-def test_a_failure_that_is_not_confirmed_is_not_called_the_drivers(kind, words):
-    record = Record(id=0, end="error", error={"kind": kind, "message": "no gap"}, violated=("error",), scenario={})
-    assert error_finding(record, happened_again=False).words == words
 
 
 def test_what_does_not_happen_again_is_said_to():

@@ -1,0 +1,196 @@
+"""Judging outside the campaign's process, in processes that never load a driver, on many traces at a time.
+
+What they say depends on a trace alone, so a campaign's records do not depend on whether, where and in which company a
+trace was judged. A process takes as long to start as to judge some hundred traces, so only long campaigns have them.
+"""
+
+import json
+import math
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import CancelledError, Future
+from functools import partial
+from pathlib import Path
+from threading import Lock
+from typing import Any, Final
+
+import numpy as np
+
+from behavexplor.behavior.features import ATTRIBUTES, known_states, state_matrix
+from behavexplor.campaign.judgment import Judgment, judgment
+from behavexplor.data.trace import Trace
+from behavexplor.execution.confinement import confine
+from behavexplor.execution.executor import ADSError
+from behavexplor.execution.pool import WorkerPool
+from behavexplor.execution.service import Recipe, Service
+from behavexplor.jit import keep_code_in
+from behavexplor.judge.specs import SPECS, Verdict
+
+JUDGE: Final = "judge"  # function of the service
+WORKERS_OF_A_JUDGE: Final = 4  # a trace takes longer to drive than to judge
+LEAST: Final = 1500  # executions of a campaign for which it pays to start processes
+MOST: Final = 64  # traces that are judged at a time
+PATIENCE: Final = 600.0  # time limit of a group [s]
+FRAMES: Final = 31  # of the trace of `pass_by`
+_LENGTH: Final = 8  # of a length [bytes]
+_SPEED: Final = 10.0  # [m/s]
+
+
+class JudgeService(Service):
+    """Judges traces by the built-in specs; see `judged`."""
+
+    def __init__(self) -> None:
+        self.functions = {JUDGE: lambda request: packed([judged(data) for data in unpacked(request)])}
+
+    def confine(self) -> None:
+        """Give up the rights of this process, because traces come from processes of third-party code."""
+        keep_code_in(Path(tempfile.mkdtemp()))
+        confine()
+
+    def begin(self) -> None:
+        """Load the machine code by judging a small trace."""
+        judged(pass_by().to_bytes())
+
+
+class Judges:
+    """Processes that judge the traces of a campaign, which arrive one by one and are judged in groups.
+
+    A group begins as soon as a process is free, with all traces that have arrived until then.
+
+    Args:
+        n_workers: number of processes that drive; 0 for no judges.
+    """
+
+    def __init__(self, n_workers: int) -> None:
+        self._count = -(-n_workers // WORKERS_OF_A_JUDGE)
+        self._pool: WorkerPool | None = None
+        self._begun: Future[bytes] | None = None
+        self._lock = Lock()  # guards the following fields, which the threads of two executors change
+        self._waiting: list[tuple[Future[Judgment], bytes]] = []
+        self._groups = 0  # under way
+
+    @property
+    def are_ready(self) -> bool:
+        """True if traces can be given to `follow`. The first question starts the processes."""
+        if self._pool is None and self._count:
+            recipe = Recipe(f"{__name__}:{JudgeService.__name__}", batched=JUDGE)
+            self._pool = WorkerPool(self._count, recipe, PATIENCE, math.inf)
+            self._begun = self._pool.submit(JUDGE, b"")
+        return self._begun is not None and self._begun.done() and self._begun.exception() is None
+
+    def follow(self, driven: "Future[bytes]") -> "Future[Judgment]":
+        """Return the future judgment of a trace that is being driven.
+
+        Its exception is that of the driven trace, or an `ADSError` if what was driven is no trace.
+        """
+        judging: Future[Judgment] = Future()
+        driven.add_done_callback(partial(self._take, judging))
+        return judging
+
+    def shutdown(self) -> None:
+        """End the processes at once."""
+        with self._lock:
+            self._count = 0  # what is driven from now on is not judged
+        if self._pool is not None:
+            self._pool.shutdown(wait=False)
+
+    def _take(self, judging: "Future[Judgment]", driven: "Future[bytes]") -> None:
+        try:
+            data = driven.result()
+        except (Exception, CancelledError) as error:
+            judging.set_exception(error)
+            return
+        with self._lock:
+            self._waiting.append((judging, data))
+        self._send()
+
+    def _send(self) -> None:
+        with self._lock:
+            if not self._waiting or self._groups >= self._count or self._pool is None:
+                return
+            group, self._waiting = self._waiting[:MOST], self._waiting[MOST:]
+            self._groups += 1
+            answer = self._pool.submit(JUDGE, packed([data for _, data in group]))
+        answer.add_done_callback(partial(self._settle, group))
+
+    def _settle(self, group: "Sequence[tuple[Future[Judgment], bytes]]", answer: "Future[bytes]") -> None:
+        with self._lock:
+            self._groups -= 1
+        try:
+            for (judging, data), found in zip(group, unpacked(answer.result()), strict=True):
+                _set(judging, data, found)
+        except (Exception, CancelledError) as error:
+            for judging, _ in group:
+                if not judging.done():
+                    judging.set_exception(error)
+            return
+        self._send()
+
+
+def judged(data: bytes) -> bytes:
+    """Judge a trace by the built-in specs.
+
+    Args:
+        data: the trace as bytes.
+
+    Returns:
+        A line of JSON with the figures of a `behavexplor.campaign.judgment.Judgment`, and the ego's states as float32,
+        see `behavexplor.behavior.features.state_matrix`; or a line with a text in place of the figures if the bytes are
+        no trace, which is the failure of the driver.
+    """
+    try:
+        found = judgment(data, None, SPECS)
+    except ADSError as error:
+        return json.dumps(error.message).encode() + b"\n"
+    figures = (dict(found.verdict.degrees), found.verdict.violated, found.violation_class, found.fault)
+    head = json.dumps([found.end, found.duration, *figures])
+    return head.encode() + b"\n" + state_matrix(found.trace).tobytes()
+
+
+def _set(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
+    """Set what `judged` has returned on a future."""
+    head, _, states = found.partition(b"\n")
+    values: Any = json.loads(head)
+    if isinstance(values, str):
+        judging.set_exception(ADSError("crash", values))
+        return
+    end, duration, degrees, violated, kind, fault = values
+    matrix = np.frombuffer(states, dtype=np.float32).reshape(-1, len(ATTRIBUTES))
+    trace = Trace.of_packed(data, **known_states("route", matrix))
+    verdict = Verdict(degrees, tuple(violated))
+    judging.set_result(Judgment(data, trace, end, duration, verdict, kind, fault, None))
+
+
+def packed(parts: Sequence[bytes]) -> bytes:
+    """Return some bytes as one message, for `unpacked`."""
+    return b"".join(len(part).to_bytes(_LENGTH) + part for part in parts)
+
+
+def unpacked(message: bytes) -> list[bytes]:
+    """Return the bytes in a message of `packed`."""
+    parts, begin = [], 0
+    while begin < len(message):
+        end = begin + _LENGTH + int.from_bytes(message[begin : begin + _LENGTH])
+        parts.append(message[begin + _LENGTH : end])
+        begin = end
+    return parts
+
+
+def pass_by() -> Trace:
+    """Return a trace of an ego that passes a standing vehicle."""
+    time = np.arange(FRAMES) / 20
+    position, velocity = np.zeros((2, FRAMES, 2, 2))
+    position[:, 0, 0], position[:, 1], velocity[:, 0, 0] = _SPEED * time, (8.0, 4.0), _SPEED
+    return Trace(
+        time=time,
+        position=position,
+        heading=np.zeros((FRAMES, 2)),
+        velocity=velocity,
+        size=np.array([[5.0, 2.0], [5.0, 2.0]]),
+        actions=np.zeros((0, 1)),
+        action_frame=np.zeros(0, dtype=np.int64),
+        route=np.array([[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]]),
+        destination=np.array([100.0, 0.0]),
+        illegal_lines=np.array([[[0.0, -4.0], [100.0, -4.0]]]),
+        end="timeout",
+    )

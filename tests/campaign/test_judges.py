@@ -1,0 +1,171 @@
+"""Judging in other processes: the same as in the campaign's own, whatever is judged in company with what."""
+
+import subprocess
+import sys
+import time
+from concurrent.futures import Future
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from behavexplor.behavior.features import state_matrix
+from behavexplor.campaign import opening
+from behavexplor.campaign.campaign import ExecutionError
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.judges import Judges, judged, packed, unpacked
+from behavexplor.campaign.judgment import judgment
+from behavexplor.campaign.opening import opened
+from behavexplor.campaign.store import Store
+from behavexplor.data.trace import Trace
+from behavexplor.execution.executor import ADSError
+from behavexplor.judge.specs import SPECS
+from tests.fakes import LOGICAL, simulate
+
+ARE_READY = Judges.are_ready
+RNG = np.random.default_rng(0)
+TRACES = [simulate(LOGICAL.sample(RNG)).to_bytes() for _ in range(20)]
+
+
+def done(data):
+    future = Future()
+    future.set_result(data)
+    return future
+
+
+@pytest.fixture(scope="module")
+def judges():
+    made = ready(Judges(1))
+    yield made
+    made.shutdown()
+
+
+def ready(judges):
+    """Wait for the processes."""
+    end = time.monotonic() + 120
+    while not ARE_READY.fget(judges) and time.monotonic() < end:
+        time.sleep(0.02)
+    return judges
+
+
+def test_a_judge_says_what_the_campaign_would_say(judges):
+    late = [Future() for _ in TRACES]
+    futures = [judges.follow(future) for future in late]
+    for future, data in zip(late, TRACES, strict=True):  # they arrive while the first ones are being judged
+        future.set_result(data)
+    for future, data in zip(futures, TRACES, strict=True):
+        found, own = future.result(60), judgment(data, None, SPECS)
+        assert (found.end, found.duration, found.verdict) == (own.end, own.duration, own.verdict)
+        assert (found.violation_class, found.fault, found.data) == (own.violation_class, own.fault, data)
+        assert found.verdict.violated == own.verdict.violated
+        assert state_matrix(found.trace).tobytes() == state_matrix(own.trace).tobytes()
+        assert "position" not in vars(found.trace)  # nothing has been read until now
+        assert found.trace.to_bytes() == data
+    assert any(future.result().verdict.failed for future in futures)
+
+
+def test_what_is_no_trace_is_the_drivers_failure(judges):
+    whole, other, failing = judges.follow(done(TRACES[0])), judges.follow(done(b"no trace")), Future()
+    failed = judges.follow(failing)
+    failing.set_exception(ADSError("raised", "no gap"))
+    canceled, never = Future(), None
+    never = judges.follow(canceled)
+    canceled.cancel()
+    assert whole.result(60).end
+    for future, words in ((other, "sent what is no trace"), (failed, "no gap")):
+        with pytest.raises(ADSError, match=words):
+            future.result(60)
+    assert never.exception(60) is not None
+    with pytest.raises(ADSError, match="sent what is no trace"):
+        judgment(b"no trace", None, SPECS)
+
+
+def test_what_arrives_after_the_end_is_left_alone(caplog):
+    made, late = ready(Judges(1)), Future()
+    judging = made.follow(late)
+    made.shutdown()
+    late.set_result(TRACES[0])
+    assert not judging.done()
+    assert not caplog.records
+
+
+def test_messages_are_taken_apart():
+    parts = [b"", b"a" * 300, b"\n"]
+    assert unpacked(packed(parts)) == parts
+    assert unpacked(b"") == []
+    assert judged(b"").startswith(b'"its process sent what is no trace: ')
+
+
+def test_a_packed_trace_is_a_trace():
+    whole = simulate(LOGICAL.sample(np.random.default_rng(1)))
+    for change in (
+        lambda trace: trace.until(5, "timeout"),
+        lambda trace: trace.with_decisions({"bits": np.zeros(len(whole.actions))}),
+        lambda trace: trace,
+    ):
+        trace = Trace.of_packed(whole.to_bytes())
+        assert isinstance(trace, Trace)
+        assert change(trace).to_bytes() == change(whole).to_bytes()
+        assert (trace.partner, trace.duration, trace.end) == (whole.partner, whole.duration, whole.end)
+    for trace in (whole, Trace.of_packed(whole.to_bytes())):
+        assert not hasattr(trace, "no_such_field")
+        assert not hasattr(trace, "__array__")
+
+
+CONFIG = CampaignConfig(env="lane-change", ads="constant:1", budget="40", seed=2)
+
+
+def run(folder, workers, **config):
+    with opened(CampaignConfig(**{**vars(CONFIG), **config}), folder, workers, resume=folder.exists()) as ready:
+        ready.campaign.run(lambda _: None)
+    with closing(Store.read(folder)) as store:
+        return [(one.record.to_dict(), one.trace) for one in store.executions()]
+
+
+@pytest.mark.parametrize("method", ["behavexplor", "avfuzzer"])
+def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method):
+    whole = run(tmp_path / "here", 0, method=method)
+    followed, follow = [], Judges.follow
+    monkeypatch.setattr(opening, "LEAST", 1)
+    monkeypatch.setattr(Judges, "are_ready", property(ready))
+    monkeypatch.setattr(Judges, "follow", lambda self, driven: followed.append(driven) or follow(self, driven))
+    assert run(tmp_path / "there", 2, method=method, budget="20") == whole[:20]
+    assert len(followed) == 20
+    assert run(tmp_path / "there", 2, method=method) == whole
+    assert len(followed) == 40
+
+
+def test_a_judge_that_ends_is_not_the_drivers_failure(tmp_path, monkeypatch):
+    def lose(self, driven):
+        judging = Future()
+        driven.add_done_callback(lambda _: judging.set_exception(RuntimeError("a worker ended: its process is gone")))
+        return judging
+
+    monkeypatch.setattr(opening, "LEAST", 1)
+    monkeypatch.setattr(Judges, "are_ready", property(lambda _: True))
+    monkeypatch.setattr(Judges, "follow", lose)
+    with pytest.raises(ExecutionError, match="Execution 0 could not be carried out: RuntimeError: a worker ended"):
+        run(tmp_path / "run", 1)
+    with closing(Store.read(tmp_path / "run")) as store:
+        assert len(store) == 0
+
+
+@pytest.mark.slow
+def test_a_long_campaign_that_is_killed_ends_as_any_other(tmp_path):
+    command = [sys.executable, "-m", "behavexplor", "fuzz", "--quiet", "--workers"]
+    new = ["--env", "lane-change", "--ads", "constant", "--method", "uniform", "--budget", "1600", "--out"]
+    subprocess.run([*command, "1", *new, str(tmp_path / "whole")], check=True, capture_output=True)
+    arguments, rng, lives = [*new, str(tmp_path / "killed")], np.random.default_rng(0), 0
+    while lives < 5:
+        life = subprocess.Popen([*command, "2", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        while not (tmp_path / "killed" / "campaign.db").exists():
+            time.sleep(0.01)
+        time.sleep(rng.uniform(2.0, 6.0))
+        life.kill()
+        life.wait()
+        arguments, lives = ["--resume", str(tmp_path / "killed")], lives + 1
+    subprocess.run([*command, "2", *arguments], check=True, capture_output=True)
+    with closing(Store.read(tmp_path / "whole")) as one, closing(Store.read(tmp_path / "killed")) as other:
+        for first, second in zip(one.executions(), other.executions(), strict=True):
+            assert (first.record, first.trace) == (second.record, second.trace)
+        assert len(one) == 1600
