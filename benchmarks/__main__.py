@@ -14,7 +14,7 @@ from typing import Any
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from benchmarks.analysis import analysis_rows
-from benchmarks.execution import Pace, lock_step_rows, main_systems, stock_rows, worker_rows
+from benchmarks.execution import Pace, counting_rows, lock_step_rows, main_systems, stock_rows, worker_rows
 from benchmarks.highway import highway_rows
 from benchmarks.stages import stage_rows
 from benchmarks.startup import startup_rows
@@ -90,6 +90,11 @@ def highway(count: int) -> list[Row]:
     return highway_rows(count / 256)
 
 
+def counting(count: int) -> list[Row]:
+    """Evaluation: episodes per CPU second, judged by their traces and counted."""
+    return counting_rows(count)
+
+
 PARTS: dict[str, Callable[[int], list[Row]]] = {
     "execution": execution,
     "workers": workers,
@@ -97,6 +102,7 @@ PARTS: dict[str, Callable[[int], list[Row]]] = {
     "startup": startup,
     "stages": stages,
     "highway": highway,
+    "counting": counting,
 }
 
 

@@ -172,7 +172,7 @@ def test_the_same_seed_gives_the_same_rates_however_many_are_under_way(ahead, cr
     generator = np.random.default_rng([STREAM, 0])
     assert first == Evaluation.of(cruising[0].run(logical.sample(generator)) for _ in range(12))
     assert first != other
-    assert done == list(range(1, 13))
+    assert done[-1] == 12
 
 
 def evaluated(tmp_path, ads, *flags):
