@@ -3,26 +3,27 @@
 import json
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
 from behavexplor.ads.interface import ADS
 from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario
 from behavexplor.data.target import Target
-from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
+from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.rollout import LockStep, run_episodes
 from behavexplor.execution.start import start_executor, start_in_process
-from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault
-from behavexplor.judge.rates import AT_FAULT, FAILED, Decision, Goal, clopper_pearson
-from behavexplor.judge.specs import SPECS, judge
+from behavexplor.judge.outcomes import Block, OutcomeFile, Outcomes, outcomes_from, outcomes_of, packed, unpacked
+from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Decision, Goal, clopper_pearson
+from behavexplor.judge.specs import SPECS
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
 _BETWEEN_LOOKS: Final = 1.005  # ratio of the numbers of scenarios at two looks at a rate
@@ -30,29 +31,8 @@ AHEAD: Final = 1024  # scenarios under way that are judged by their traces, enou
 BLOCK, SMALL_BLOCK = 256, 32  # scenarios that are counted together, or judged by their traces
 BLOCKS_AHEAD: Final = 64
 _SLOTS: Final = 128  # episodes in lock-step while failures are counted
+Observe = Callable[[int], object]
 _COUNTS, _COUNT = "counts", "count"  # functions of the service
-_FIRST_CODE: Final = ord("A")
-
-_SIGNALS: Final = {ARRIVED: ARRIVED, SPECS[1].name: OFF_ROAD, SPECS[2].name: ARRIVED}  # that an outcome needs
-
-
-class Outcomes(NamedTuple):
-    """What happened in one scenario.
-
-    Attributes:
-        found: the outcomes, see `Evaluation`.
-        asked: the outcomes, beside the verdicts on a collision, that mean something in the environment.
-        at_fault: whether the driver failed by its own fault; see `behavexplor.campaign.record.Record.at_fault`.
-    """
-
-    found: tuple[str, ...]
-    asked: tuple[str, ...]
-    at_fault: bool
-
-    @property
-    def passed(self) -> bool:
-        """True if the driver did not fail."""
-        return set(self.found) <= {ARRIVED}
 
 
 @dataclass(frozen=True)
@@ -65,11 +45,15 @@ class Evaluation:
             verdict on a collision. Outcomes are in the order in which they are reported.
         decision: what was decided on a rate, if the evaluation ended when enough was known. Its number of scenarios
             then depends on what happened in them, so `interval` does not hold, but that of the decision does.
+        failed: number of failures.
+        at_fault: number of failures by the driver's own fault.
     """
 
     n: int
     counts: Mapping[str, int]
     decision: Decision | None = None
+    failed: int = 0
+    at_fault: int = 0
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Self:
@@ -91,15 +75,21 @@ class Evaluation:
         faults = sorted(outcome for outcome in found if ": " in outcome)
         names = [ARRIVED, SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:])]
         n = sum(kinds.values())
-        return cls(n, {name: found[name] for name in names if name in asked or name in faults})
+        counts = {name: found[name] for name in names if name in asked or name in faults}
+        failed, at_fault = (sum(kinds[one] for one in kinds if _has(one, name)) for name in (FAILED, AT_FAULT))
+        return cls(n, counts, failed=failed, at_fault=at_fault)
+
+    def count(self, outcome: str) -> int:
+        """Return the number of scenarios with an outcome, which may also be `AT_FAULT` or `FAILED`."""
+        return {**self.counts, FAILED: self.failed, AT_FAULT: self.at_fault}.get(outcome, 0)
 
     def rate(self, outcome: str) -> float:
         """Return the share of scenarios with an outcome."""
-        return self.counts.get(outcome, 0) / self.n
+        return self.count(outcome) / self.n
 
-    def interval(self, outcome: str) -> tuple[float, float]:
-        """Return the exact 95 % interval of a rate (Clopper and Pearson)."""
-        return clopper_pearson(self.counts.get(outcome, 0), self.n)
+    def interval(self, outcome: str, alpha: float = ALPHA) -> tuple[float, float]:
+        """Return the exact interval of a rate (Clopper and Pearson), which misses it with a probability of alpha."""
+        return clopper_pearson(self.count(outcome), self.n, alpha)
 
 
 class Judge(Evaluator):
@@ -179,57 +169,45 @@ def start_judge(target: Target, workers: int, driver: ADS | None = None) -> Exec
 
 
 def estimate_rates(
-    judge: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
+    judge: Executor,
+    logical: LogicalScenario,
+    n: int,
+    seed: int,
+    observe: Observe | None = None,
+    *,
+    goal: Goal | None = None,
+    file: OutcomeFile | None = None,
 ) -> Evaluation:
     """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the number of workers.
 
     Args:
         judge: executor of the ADS, see `start_judge`.
         logical: logical scenario of its environment.
-        n: number of scenarios.
+        n: number of scenarios, or the greatest number if there is a goal.
         seed: seed of the random scenarios.
         observe: callback that gets the number of finished scenarios.
+        goal: what is to be known of a rate. The evaluation ends as soon as it is.
+        file: file from which the evaluation goes on, and to which it is written; None for none.
 
     Raises:
         ADSError: if the ADS fails in a scenario.
-        RuntimeError: if a scenario could not be executed.
+        InputError: if the file is damaged.
+        RuntimeError: if a scenario could not be executed, or failed only once.
     """
-    return Evaluation.of_outcomes(uniform_outcomes(judge, logical, n, seed, observe))
-
-
-def decide_rate(
-    judge: Executor,
-    logical: LogicalScenario,
-    goal: Goal,
-    most: int,
-    seed: int,
-    observe: Callable[[int], None] | None = None,
-) -> Evaluation:
-    """Evaluate an ADS in uniformly drawn scenarios until a goal is reached. Workers do not change the result.
-
-    Args:
-        judge: see `estimate_rates`.
-        logical: see `estimate_rates`.
-        goal: what is to be known.
-        most: greatest number of scenarios.
-        seed: see `estimate_rates`.
-        observe: see `estimate_rates`.
-
-    Raises:
-        ADSError: if the ADS fails in a scenario.
-        RuntimeError: if a scenario could not be executed.
-    """
+    outcomes = uniform_outcomes(judge, logical, n, seed, observe, file)
+    if goal is None:
+        return Evaluation.of_outcomes(outcomes)
     kinds: Counter[Outcomes] = Counter()
-    n, count, look = 0, 0, 1
-    for n, one in enumerate(uniform_outcomes(judge, logical, most, seed, observe), 1):
+    done, count, look = 0, 0, 1
+    for done, one in enumerate(outcomes, 1):
         kinds[one] += 1
         count += _has(one, goal.outcome)
-        if n < look:
+        if done < look:
             continue
-        look = math.ceil(n * _BETWEEN_LOOKS)
-        if Decision.of(goal, n, count).verdict:
+        look = math.ceil(done * _BETWEEN_LOOKS)
+        if Decision.of(goal, done, count).verdict:
             break
-    return replace(Evaluation.of_kinds(kinds), decision=Decision.of(goal, n, count))
+    return replace(Evaluation.of_kinds(kinds), decision=Decision.of(goal, done, count))
 
 
 def _has(one: Outcomes, outcome: str) -> bool:
@@ -240,23 +218,58 @@ def _has(one: Outcomes, outcome: str) -> bool:
 
 
 def uniform_outcomes(
-    judge: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
-) -> Iterator[Outcomes]:
-    """Yield the outcomes of uniformly drawn scenarios in their order; see `estimate_rates`."""
-    for block in uniform_blocks(judge, logical, n, np.random.default_rng([STREAM, seed]), observe):
-        yield from block
-
-
-def uniform_blocks(
     judge: Executor,
     logical: LogicalScenario,
     n: int,
-    generator: np.random.Generator,
-    observe: Callable[[int], None] | None = None,
-) -> Iterator[list[Outcomes]]:
+    seed: int,
+    observe: Observe | None = None,
+    file: OutcomeFile | None = None,
+) -> Iterator[Outcomes]:
+    """Yield the outcomes of uniformly drawn scenarios in their order; see `estimate_rates`.
+
+    Those in the file are not driven again, and the others are added to it in whole blocks.
+    """
+    generator, done, observe = np.random.default_rng([STREAM, seed]), 0, observe or (lambda _: None)
+    for block in file.blocks() if file else ():
+        yield from block.outcomes[: n - done]
+        done, generator = done + len(block.outcomes), _generator(block.state)
+        observe(min(done, n))
+    for block in uniform_blocks(judge, logical, range(done, n), generator, observe):
+        if file is not None:
+            file.append(block)
+        yield from block.outcomes
+
+
+def failing(file: OutcomeFile, logical: LogicalScenario, seed: int, n: int) -> Iterator[tuple[int, Scenario]]:
+    """Yield number and scenario of each failure among the first n scenarios of an evaluation.
+
+    Args:
+        file: file of the evaluation.
+        logical: see `estimate_rates`.
+        seed: see `estimate_rates`.
+        n: number of scenarios.
+    """
+    generator, first = np.random.default_rng([STREAM, seed]), 0
+    for outcomes, state in file.blocks():
+        failed = [place for place, one in enumerate(outcomes) if not one.passed and first + place < n]
+        scenarios = [logical.sample(generator) for _ in outcomes] if failed else []
+        yield from ((first + place, scenarios[place]) for place in failed)
+        generator, first = _generator(state), first + len(outcomes)
+
+
+def uniform_blocks(
+    judge: Executor, logical: LogicalScenario, numbers: range, generator: np.random.Generator, observe: Observe
+) -> Iterator[Block]:
     """Yield the outcomes of uniformly drawn scenarios in blocks, in their order; see `estimate_rates`.
 
     Workers judge several blocks at a time. A block is yielded when all before it have been.
+
+    Args:
+        judge: see `estimate_rates`.
+        logical: see `estimate_rates`.
+        numbers: numbers of the scenarios.
+        generator: generator that draws them.
+        observe: see `estimate_rates`.
 
     Raises:
         ADSError: if the ADS fails in a scenario.
@@ -267,12 +280,13 @@ def uniform_blocks(
     if is_counted:
         size, ahead = BLOCK, 0 if judge.runs_here else BLOCKS_AHEAD
     started: deque[_Block] = deque()
-    for first in range(0, n, size):
-        started.append(_Block(judge, logical, generator, range(first, min(first + size, n)), is_counted=is_counted))
+    for first in range(0, len(numbers), size):
+        own = numbers[first : first + size]
+        started.append(_Block(judge, logical, generator, own, is_counted=is_counted))
         if len(started) > ahead:
-            yield started.popleft().outcomes(observe)
+            yield started.popleft().judged(observe)
     while started:
-        yield started.popleft().outcomes(observe)
+        yield started.popleft().judged(observe)
 
 
 class _Block:
@@ -306,14 +320,18 @@ class _Block:
         self._counted = judge.submit(_COUNT, json.dumps([self._state, len(numbers)]).encode())
         for _ in numbers:
             logical.pass_over(generator)
+        self._after = generator.bit_generator.state
 
     def _judge_each(self, generator: np.random.Generator) -> None:
         scenarios = (self._logical.sample(generator) for _ in self._numbers)
         self._judged = [self._judge.submit(EXECUTE, scenario.to_json().encode()) for scenario in scenarios]
+        self._after = generator.bit_generator.state
 
-    def outcomes(self, observe: Callable[[int], None] | None) -> list[Outcomes]:
+    def judged(self, observe: Observe) -> Block:
         """Wait for the outcomes, and return them."""
-        observe = observe or (lambda _: None)
+        return Block(self._outcomes(observe), self._after)
+
+    def _outcomes(self, observe: Observe) -> list[Outcomes]:
         try:
             counted = json.loads(self._counted.result()) if self._counted else None
         except (ADSError, InputError, RuntimeError):
@@ -322,7 +340,7 @@ class _Block:
         if counted is None:
             found = []
             for number, future in zip(self._numbers, self._judged, strict=True):
-                found.append(_outcomes(*json.loads(future.result())))
+                found.append(outcomes_from(*json.loads(future.result())))
                 observe(number + 1)
             return found
         for number in counted["differing"]:
@@ -334,41 +352,11 @@ class _Block:
         return unpacked(counted)
 
 
-def packed(outcomes: Sequence[Outcomes]) -> dict[str, Any]:
-    """Return the outcomes of scenarios as JSON values: their kinds, and a letter for each scenario."""
-    places = {kind: place for place, kind in enumerate(dict.fromkeys(outcomes))}
-    return {"kinds": [*places], "codes": "".join(chr(_FIRST_CODE + places[one]) for one in outcomes)}
-
-
-def unpacked(values: Mapping[str, Any]) -> list[Outcomes]:
-    """Return the outcomes that `packed` made values of."""
-    kinds = [_outcomes(*kind) for kind in values["kinds"]]
-    return [kinds[ord(code) - _FIRST_CODE] for code in values["codes"]]
-
-
-def _outcomes(found: Iterable[str], asked: Iterable[str], at_fault: bool) -> Outcomes:
-    return Outcomes(tuple(found), tuple(asked), at_fault)
-
-
 def _generator(state: Any) -> np.random.Generator:
     """Return the generator of a state."""
     generator = np.random.default_rng(0)
     generator.bit_generator.state = state
     return generator
-
-
-def outcomes_of(trace: Trace) -> Outcomes:
-    """Judge a trace."""
-    verdict = judge(trace, SPECS)
-    arrived = trace.signals[ARRIVED].any() if ARRIVED in trace.signals else trace.end == ARRIVED
-    arrived = arrived and trace.end != "collision"  # in a roundabout, an ego may get beyond the entry and crash there
-    fault = contact_fault(trace)
-    faults = [f"{SPECS[0].name}: {fault}"] if fault else []
-    found = (*([ARRIVED] if arrived else []), *verdict.violated, *faults)
-    names = (ARRIVED, *(spec.name for spec in SPECS))
-    asked = tuple(name for name in names if not trace.signals or _SIGNALS.get(name, CRASHED) in trace.signals)
-    at_fault = bool(verdict.violated) and is_at_fault(collision_fault(trace, verdict.violated))
-    return Outcomes(found, asked, at_fault)
 
 
 _outcomes_of_short = lru_cache(maxsize=1)(outcomes_of)  # of the trace that stands for all episodes without failure

@@ -7,9 +7,10 @@ import pytest
 
 from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV, evaluation
 from behavexplor.data.target import Target
-from behavexplor.evaluation import STREAM, Evaluation, outcomes_of, packed, start_judge, uniform_outcomes, unpacked
+from behavexplor.evaluation import STREAM, Evaluation, start_judge, uniform_outcomes
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.outcomes import outcomes_of, packed, unpacked
 from tests.drivers import Cruiser
 
 POLICIES = "docs/data/policies"

@@ -14,7 +14,7 @@ from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, 
 from behavexplor.commands.evaluate import table
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
-from behavexplor.evaluation import STREAM, Evaluation, decide_rate, estimate_rates, start_judge, uniform_outcomes
+from behavexplor.evaluation import STREAM, Evaluation, estimate_rates, start_judge, uniform_outcomes
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
@@ -100,7 +100,7 @@ def test_an_evaluation_ends_where_its_rate_is_decided_however_many_are_under_way
     monkeypatch.setattr(evaluation, "AHEAD", ahead)
     logical = cruising[0].logical
     with start_judge(Target("intersection-straight", "tests.drivers:Cruiser", unconfined=True), 0) as executor:
-        found = decide_rate(executor, logical, goal, 200, 0)
+        found = estimate_rates(executor, logical, 200, 0, goal=goal)
         whole = list(uniform_outcomes(executor, logical, found.n, 0))
     decision = found.decision
     assert decision.verdict == verdict
@@ -113,7 +113,7 @@ def test_an_evaluation_ends_where_its_rate_is_decided_however_many_are_under_way
 
 def test_an_undecided_rate_is_said_to_be(cruising):
     with start_judge(Target("intersection-straight", "tests.drivers:Cruiser", unconfined=True), 0) as executor:
-        found = decide_rate(executor, cruising[0].logical, Goal("lines", until=0.01), 5, 0)
+        found = estimate_rates(executor, cruising[0].logical, 5, 0, goal=Goal("lines", until=0.01))
     assert not found.decision.verdict
     assert found.decision.n == 5
 

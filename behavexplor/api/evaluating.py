@@ -15,7 +15,7 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.data.drawn_scenario import DECLARED, config_text
 from behavexplor.envs.making import default_config, is_highway
 from behavexplor.errors import InputError, brief
-from behavexplor.evaluation import Evaluation, decide_rate, estimate_rates, start_judge
+from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
 from behavexplor.judge.rates import Goal
 
@@ -143,8 +143,6 @@ def evaluate(
         executor = start_judge(target, count, given.driver)
         try:
             logical = logical_of_target(executor, target.env)
-            if goal is not None:
-                return decide_rate(executor, logical, goal, scenarios, seed, observe)
-            return estimate_rates(executor, logical, scenarios, seed, observe)
+            return estimate_rates(executor, logical, scenarios, seed, observe, goal=goal)
         finally:
             executor.shutdown(wait=False)

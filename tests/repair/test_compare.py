@@ -10,8 +10,8 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, UNDECIDED, main
 from behavexplor.commands.compare import MarginDecision, searched, values
-from behavexplor.evaluation import outcomes_of
 from behavexplor.judge import specs
+from behavexplor.judge.outcomes import outcomes_of
 from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
 from behavexplor.judge.specs import SPECS, judge
 from behavexplor.repair.pair_campaigns import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
