@@ -21,7 +21,7 @@ from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.rollout import LockStep, run_episodes
 from behavexplor.execution.start import start_executor, start_in_process
-from behavexplor.judge.outcomes import Block, OutcomeFile, Outcomes, outcomes_from, outcomes_of, packed, unpacked
+from behavexplor.judge.outcomes import OutcomeBlock, OutcomeFile, Outcomes, outcomes_from, outcomes_of, packed, unpacked
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Decision, Goal, clopper_pearson
 from behavexplor.judge.specs import SPECS
 
@@ -54,11 +54,6 @@ class Evaluation:
     decision: Decision | None = None
     failed: int = 0
     at_fault: int = 0
-
-    @classmethod
-    def of(cls, traces: Iterable[Trace]) -> Self:
-        """Judge traces and count their outcomes."""
-        return cls.of_outcomes(map(outcomes_of, traces))
 
     @classmethod
     def of_outcomes(cls, scenarios: Iterable[Outcomes]) -> Self:
@@ -259,7 +254,7 @@ def failing(file: OutcomeFile, logical: LogicalScenario, seed: int, n: int) -> I
 
 def uniform_blocks(
     judge: Executor, logical: LogicalScenario, numbers: range, generator: np.random.Generator, observe: Observe
-) -> Iterator[Block]:
+) -> Iterator[OutcomeBlock]:
     """Yield the outcomes of uniformly drawn scenarios in blocks, in their order; see `estimate_rates`.
 
     Workers judge several blocks at a time. A block is yielded when all before it have been.
@@ -276,80 +271,60 @@ def uniform_blocks(
         RuntimeError: if a scenario could not be executed, or failed only once.
     """
     is_counted = bool(judge.submit(_COUNTS, b"").result())
-    size, ahead = (SMALL_BLOCK, AHEAD // SMALL_BLOCK)
+    size, ahead = SMALL_BLOCK, AHEAD // SMALL_BLOCK
     if is_counted:
         size, ahead = BLOCK, 0 if judge.runs_here else BLOCKS_AHEAD
-    started: deque[_Block] = deque()
-    for first in range(0, len(numbers), size):
-        own = numbers[first : first + size]
-        started.append(_Block(judge, logical, generator, own, is_counted=is_counted))
-        if len(started) > ahead:
-            yield started.popleft().judged(observe)
-    while started:
-        yield started.popleft().judged(observe)
+    started: deque[tuple[range, Any, list[Future[bytes]], Any]] = deque()
 
-
-class _Block:
-    """Scenarios that follow one another, and are being judged.
-
-    Args:
-        judge: see `estimate_rates`.
-        logical: see `estimate_rates`.
-        generator: generator that draws the scenarios, which afterwards draws those behind them.
-        numbers: their numbers.
-        is_counted: whether they are counted; see `Judge`. They are judged one by one if that fails, since it then
-            turns out which scenario is to blame.
-    """
-
-    def __init__(
-        self,
-        judge: Executor,
-        logical: LogicalScenario,
-        generator: np.random.Generator,
-        numbers: range,
-        *,
-        is_counted: bool,
-    ) -> None:
-        self._judge, self._logical, self._numbers = judge, logical, numbers
-        self._state = generator.bit_generator.state
-        self._counted: Future[bytes] | None = None
-        self._judged: list[Future[bytes]] = []
-        if not is_counted:
-            self._judge_each(generator)
-            return
-        self._counted = judge.submit(_COUNT, json.dumps([self._state, len(numbers)]).encode())
-        for _ in numbers:
-            logical.pass_over(generator)
-        self._after = generator.bit_generator.state
-
-    def _judge_each(self, generator: np.random.Generator) -> None:
-        scenarios = (self._logical.sample(generator) for _ in self._numbers)
-        self._judged = [self._judge.submit(EXECUTE, scenario.to_json().encode()) for scenario in scenarios]
-        self._after = generator.bit_generator.state
-
-    def judged(self, observe: Observe) -> Block:
-        """Wait for the outcomes, and return them."""
-        return Block(self._outcomes(observe), self._after)
-
-    def _outcomes(self, observe: Observe) -> list[Outcomes]:
-        try:
-            counted = json.loads(self._counted.result()) if self._counted else None
-        except (ADSError, InputError, RuntimeError):
-            counted = None
-            self._judge_each(_generator(self._state))
-        if counted is None:
+    def finished() -> OutcomeBlock:
+        own, before, waiting, after = started.popleft()
+        found = _counted(waiting[0], own) if is_counted else None
+        if found is None:
             found = []
-            for number, future in zip(self._numbers, self._judged, strict=True):
+            waiting = _each(judge, logical, _generator(before), len(own)) if is_counted else waiting
+            for number, future in zip(own, waiting, strict=True):
                 found.append(outcomes_from(*json.loads(future.result())))
                 observe(number + 1)
-            return found
-        for number in counted["differing"]:
-            raise RuntimeError(
-                f"scenario {self._numbers[number]} failed, and did not fail when it was driven again: the driver does "
-                f"not do the same twice, or this is an error of behavexplor"
-            )
-        observe(self._numbers.stop)
-        return unpacked(counted)
+        observe(own.stop)
+        return OutcomeBlock(found, after)
+
+    for first in range(0, len(numbers), size):
+        own, before = numbers[first : first + size], generator.bit_generator.state
+        if is_counted:
+            waiting = [judge.submit(_COUNT, json.dumps([before, len(own)]).encode())]
+            for _ in own:
+                logical.pass_over(generator)
+        else:
+            waiting = _each(judge, logical, generator, len(own))
+        started.append((own, before, waiting, generator.bit_generator.state))
+        if len(started) > ahead:
+            yield finished()
+    while started:
+        yield finished()
+
+
+def _each(judge: Executor, logical: LogicalScenario, generator: np.random.Generator, n: int) -> list["Future[bytes]"]:
+    """Judge the next n scenarios one by one, by their traces."""
+    scenarios = (logical.sample(generator) for _ in range(n))
+    return [judge.submit(EXECUTE, scenario.to_json().encode()) for scenario in scenarios]
+
+
+def _counted(answer: "Future[bytes]", numbers: range) -> list[Outcomes] | None:
+    """Return the outcomes of a counted block; None if that failed, and each scenario must tell whether it is to blame.
+
+    Raises:
+        RuntimeError: if a failure did not recur.
+    """
+    try:
+        counted = json.loads(answer.result())
+    except (ADSError, InputError, RuntimeError):
+        return None
+    for place in counted["differing"]:
+        raise RuntimeError(
+            f"scenario {numbers[place]} failed, and did not fail when it was driven again: the driver does not do the "
+            f"same twice, or this is an error of behavexplor"
+        )
+    return unpacked(counted)
 
 
 def _generator(state: Any) -> np.random.Generator:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable, Mapping
-from contextlib import closing
 from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
@@ -13,7 +12,6 @@ from behavexplor.campaign.config import CONFIG, CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import identity_of
-from behavexplor.campaign.store import Store
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.errors import InputError
@@ -58,8 +56,8 @@ class RateFolder:
 
     def store_failures(
         self, logical: LogicalScenario, n: int, workers: int, observe: Callable[[int], None], driver: ADS | None = None
-    ) -> int:
-        """Drive the first failures again as a run, which has their traces, and return their number.
+    ) -> None:
+        """Drive the first failures again as a run, which has their traces.
 
         Args:
             logical: logical scenario of the environment.
@@ -75,20 +73,14 @@ class RateFolder:
         found = islice(failing(self.file, logical, self._config.seed, n), MOST_STORED)
         lines = [json.dumps(scenario.to_dict(), separators=(",", ":")) + "\n" for _, scenario in found]
         goes_on = (self.run / CONFIG).is_file()
-        if not lines or (goes_on and self._stored() >= len(lines)):
-            return len(lines)
+        if not lines or (goes_on and summarize(self.run).executions >= len(lines)):
+            return
         listed = self.path / SCENARIOS
         write_durably(listed, "".join(lines))
         options, budget = {"file": str(listed.resolve())}, str(len(lines))
         config = replace(self._config, method=GIVEN, options=options, budget=budget, batch=_BATCH)
         with opened(config, self.run, workers, resume=goes_on, driver=driver) as ready:
             ready.campaign.run(lambda progress: observe(progress.executions))
-        return len(lines)
-
-    def _stored(self) -> int:
-        """Return how many failures have been driven again."""
-        with closing(Store.read(self.run)) as store:
-            return len(store)
 
     def write_card(self, found: Mapping[str, Evaluation], alpha: float = ALPHA) -> dict[str, Any]:
         """Write the card as JSON and in Markdown, and return its values.

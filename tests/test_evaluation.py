@@ -18,6 +18,7 @@ from behavexplor.evaluation import STREAM, Evaluation, estimate_rates, start_jud
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.outcomes import outcomes_of
 from behavexplor.judge.rates import ABOVE, BELOW, Decision, Goal
 from tests.confining import confines
 from tests.drivers import Cruiser
@@ -72,7 +73,7 @@ def test_no_scenarios_no_traces(cruising):
 
 
 def test_outcomes_are_counted(cruising):
-    found = Evaluation.of(cruising[2])
+    found = Evaluation.of_outcomes(map(outcomes_of, cruising[2]))
     traces = cruising[2]
     assert found.n == 23
     assert found.counts["arrived"] == sum(trace.end == "arrived" for trace in traces)
@@ -170,7 +171,7 @@ def test_the_same_seed_gives_the_same_rates_however_many_are_under_way(ahead, cr
         first = estimate_rates(executor, logical, 12, 0, done.append)
         other = estimate_rates(executor, logical, 12, 1)
     generator = np.random.default_rng([STREAM, 0])
-    assert first == Evaluation.of(cruising[0].run(logical.sample(generator)) for _ in range(12))
+    assert first == Evaluation.of_outcomes(outcomes_of(cruising[0].run(logical.sample(generator))) for _ in range(12))
     assert first != other
     assert done[-1] == 12
 
@@ -254,7 +255,7 @@ def test_an_ego_that_crashes_has_not_arrived():
     generator = np.random.default_rng(0)
     traces = [trace for _, trace in simulation.run_all([simulation.logical.sample(generator) for _ in range(40)])]
     beyond = sum(bool(trace.signals["arrived"].any()) for trace in traces)
-    found = Evaluation.of(traces).counts
+    found = Evaluation.of_outcomes(map(outcomes_of, traces)).counts
     assert found["arrived"] == sum(trace.end != "collision" for trace in traces) < beyond
     assert found["arrived"] + found["collision"] == 40
     assert found["destination"] == 40 - beyond

@@ -66,7 +66,7 @@ def outcomes_from(found: Iterable[str], asked: Iterable[str], at_fault: bool) ->
     return Outcomes(tuple(found), tuple(asked), at_fault)
 
 
-class Block(NamedTuple):
+class OutcomeBlock(NamedTuple):
     """The outcomes of scenarios that follow one another.
 
     Attributes:
@@ -109,7 +109,7 @@ class OutcomeFile:
                 f"{path} belongs to another evaluation: its driver, environment, seed, or a library was another one"
             )
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self) -> Iterator[OutcomeBlock]:
         """Yield the blocks in the file.
 
         Raises:
@@ -120,11 +120,11 @@ class OutcomeFile:
             for number, line in enumerate(file, 2):
                 try:
                     values = json.loads(line)
-                    yield Block(unpacked(values), values["state"])
+                    yield OutcomeBlock(unpacked(values), values["state"])
                 except (ValueError, LookupError, TypeError):
                     raise InputError(f"{self.path}, line {number}, is damaged: delete it and those behind it") from None
 
-    def append(self, block: Block) -> None:
+    def append(self, block: OutcomeBlock) -> None:
         """Write a block to disk."""
         self._append(json.dumps({**packed(block.outcomes), "state": block.state}).encode() + b"\n")
 
