@@ -31,7 +31,7 @@ AHEAD: Final = 1024  # scenarios under way that are judged by their traces, enou
 BLOCK, SMALL_BLOCK = 256, 32  # scenarios that are counted together, or judged by their traces
 BLOCKS_AHEAD: Final = 64
 _SLOTS: Final = 128  # episodes in lock-step while failures are counted
-Observe = Callable[[int], object]
+Observe = Callable[[int], None]
 _COUNTS, _COUNT = "counts", "count"  # functions of the service
 
 

@@ -1,7 +1,7 @@
 """The folder of an evaluation: its outcomes, its failures as a run, and a card of what may be said of the driver."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
@@ -15,10 +15,12 @@ from behavexplor.campaign.same_driver import identity_of
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.errors import InputError
-from behavexplor.evaluation import Evaluation, failing
+from behavexplor.evaluation import Evaluation, Observe, failing
 from behavexplor.fuzz.methods import GIVEN
 from behavexplor.judge.outcomes import OutcomeFile
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED
+from behavexplor.report.rendering import filled
+from behavexplor.report.run_page import written
 
 OUTCOMES, FAILURES, SCENARIOS, CARD = "outcomes.jsonl", "failures", "failures.jsonl", "card"
 MOST_STORED: Final = 1000  # failures that are driven again and kept with their traces
@@ -55,20 +57,21 @@ class RateFolder:
         self.file, self.run = OutcomeFile(path / OUTCOMES, {**self._subject, **self._driver}), path / FAILURES
 
     def store_failures(
-        self, logical: LogicalScenario, n: int, workers: int, observe: Callable[[int], None], driver: ADS | None = None
+        self,
+        logical: LogicalScenario,
+        n: int,
+        workers: int,
+        observe: Observe = lambda _: None,
+        driver: ADS | None = None,
     ) -> None:
         """Drive the first failures again as a run, which has their traces.
 
         Args:
             logical: logical scenario of the environment.
             n: number of evaluated scenarios.
-            workers: see `behavexplor.campaign.opening.opened`.
+            workers: see `behavexplor.campaign.opening.opened`, as for the driver and what is raised.
             observe: function that gets the number of failures that have been driven.
-            driver: see `behavexplor.campaign.opening.opened`.
-
-        Raises:
-            InputError: see `behavexplor.campaign.opening.opened`.
-            behavexplor.campaign.campaign.ExecutionError: if one could not be driven.
+            driver: the driver, if it is an object of this process.
         """
         found = islice(failing(self.file, logical, self._config.seed, n), MOST_STORED)
         lines = [json.dumps(scenario.to_dict(), separators=(",", ":")) + "\n" for _, scenario in found]
@@ -92,64 +95,28 @@ class RateFolder:
         Raises:
             InputError: if it cannot be written.
         """
-        classes = summarize(self.run).classes if (self.run / CONFIG).is_file() else ()
-        counted = [{"class": one.id, "words": one.words, "failures": one.count} for one in classes]
-        card = {**card_values(self._config.env, found, alpha), "classes": counted, **self._subject, **self._driver}
-        try:
-            write_durably(self.path / f"{CARD}.json", json.dumps(card, indent=1) + "\n")
-            write_durably(self.path / f"{CARD}.md", markdown(card))
-        except OSError as error:
-            raise InputError(f"The card in {self.path} cannot be written: {error.strerror}") from None
+        own, counted = next(iter(found.values())), (self.run / CONFIG).is_file()
+        classes = summarize(self.run).classes if counted else ()
+        card = {
+            "scenarios": own.n,
+            "alpha": alpha,
+            "rates": {outcome: _rate(own, outcome, alpha) for outcome in (*own.counts, FAILED, AT_FAULT)},
+            "decision": own.decision and {**asdict(own.decision), "words": own.decision.words},
+            "beside": {name: {"scenarios": one.n, **one.counts} for name, one in list(found.items())[1:]},
+            "clause": CLAUSE.format(self._config.env),
+            "classes": [{"class": one.id, "words": one.words, "failures": one.count} for one in classes],
+            **self._subject,
+            **self._driver,
+        }
+        stated = {**self._subject, **self._driver["digests"], **self._driver["libraries"]}
+        shown = [name for name in own.counts if ": " not in name]
+        text = filled("card.md.jinja", escapes=False, card=card, stated=stated, shown=shown, most=MOST_STORED)
+        written(self.path / f"{CARD}.json", json.dumps(card, indent=1) + "\n")
+        written(self.path / f"{CARD}.md", text)
         return card
 
 
-def card_values(env: str, found: Mapping[str, Evaluation], alpha: float = ALPHA) -> dict[str, Any]:
-    """Return what may be said of a driver's rates, as JSON values; see `RateFolder.write_card`."""
-    (_, own), *others = found.items()
-    rates = {}
-    for outcome in (*own.counts, FAILED, AT_FAULT):
-        low, high = own.interval(outcome, alpha) if own.decision is None else (None, None)  # else only that one holds
-        rates[outcome] = {"count": own.count(outcome), "rate": own.rate(outcome), "low": low, "high": high}
-    decision = own.decision
-    return {
-        "scenarios": own.n,
-        "alpha": alpha,
-        "rates": rates,
-        "decision": None if decision is None else {**asdict(decision), "words": decision.words},
-        "beside": {name: {"scenarios": one.n, **one.counts} for name, one in others},
-        "clause": CLAUSE.format(env),
-    }
-
-
-def markdown(card: Mapping[str, Any]) -> str:
-    """Return a card in Markdown, such as for a section of a model card."""
-    head = f"# How often {Path(card['ads']).name} fails in {card['env']}"
-    claims = [f"{card['decision']['words']}, {card['clause']}."] if card["decision"] else []
-    kind = f"{100 * (1 - card['alpha']):g} % interval"
-    rates = [
-        (
-            name,
-            one["count"],
-            f"{one['rate']:.3%}",
-            "" if one["low"] is None else f"{one['low']:.3%} to {one['high']:.3%}",
-        )
-        for name, one in card["rates"].items()
-    ]
-    seed = f"{card['scenarios']} scenarios, seed {card['seed']}. These are rates {card['clause']}."
-    parts = [head, *claims, seed, _table(("outcome", "scenarios", "rate", kind), rates)]
-    beside = [(name, *one.values()) for name, one in card["beside"].items()]
-    if beside:
-        first = next(iter(card["beside"].values()))
-        parts += ["## Beside it", _table(("driver", *first), beside)]
-    if card["classes"]:
-        rows = [(one["words"], one["failures"]) for one in card["classes"]]
-        parts += [f"## Classes of failures (of the first {MOST_STORED})", _table(("class", "failures"), rows)]
-    stated = [(name, card[name]) for name in _SUBJECT if card[name] not in (None, False)]
-    stated += [*card["digests"].items(), *card["libraries"].items()]
-    return "\n\n".join([*parts, "## What was evaluated", _table(("", ""), stated)]) + "\n"
-
-
-def _table(heads: tuple[Any, ...], rows: list[tuple[Any, ...]]) -> str:
-    """Return a table in Markdown."""
-    lines = [heads, ("---",) * len(heads), *rows]
-    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)
+def _rate(found: Evaluation, outcome: str, alpha: float) -> dict[str, float | None]:
+    """Return a rate with its interval, which does not hold if the evaluation ended at a decision."""
+    low, high = found.interval(outcome, alpha) if found.decision is None else (None, None)
+    return {"count": found.count(outcome), "rate": found.rate(outcome), "low": low, "high": high}

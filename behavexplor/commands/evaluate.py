@@ -8,13 +8,14 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, TextIO
 
 import scipy
 import tyro
 
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
+from behavexplor.api.evaluating import board, listed
 from behavexplor.campaign.config import CONFIG, CampaignConfig, campaign_config
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.display import Meter
@@ -60,6 +61,7 @@ _SETTINGS = settings(
 
 
 def evaluate(  # noqa: PLR0913 - one argument for each flag
+    policies: Annotated[Path | None, tyro.conf.Positional, flag("POLICIES", None)] = None,
     *,
     given: Annotated[dict[str, Any], _SETTINGS],
     scenarios: Annotated[int | None, flag("N", f"{SCENARIOS}, or {DECIDING} with --below or --until")] = None,
@@ -75,12 +77,14 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     """Drive uniformly sampled scenarios, and report how often the driver arrives, collides and touches illegal lines.
 
     Args:
+        policies: Rank several drivers on a page in --out: a folder of policy files, or a YAML file of drivers by name,
+            each with its settings, such as careful: {ads: careful, env: roundabout-v0}.
         given: The driver, its environment and the seed of the scenarios.
         scenarios: Number of scenarios; with --below or --until, the greatest number.
         below: End when the rate of the outcome is known to be below, or above, this one, such as 0.001. The exit code
             is 0 if it is below, 1 if it is above, and 4 if that is not decided.
         until: End when the rate is known this precisely: half the width of its interval, as a share of the rate.
-        outcome: What --below and --until are about: a row of the table, "at-fault", or "failed".
+        outcome: What --below, --until and a ranking are about: a row of the table, "at-fault", or "failed".
         out: Folder for the outcomes, a card, and the failures as a run for triage, minimize, report and suite. The same
             command goes on after an interruption.
         workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver;
@@ -93,6 +97,9 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     count = scenarios if scenarios is not None else DECIDING if goal else SCENARIOS
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
+    if policies is not None:
+        shared = {**given, "outcome": outcome, "scenarios": count, "workers": chosen_workers(workers)}
+        return _ranked(policies, out, shared, quiet=quiet)
     ads = given.get("ads", CampaignConfig.ads)
     check_name(ads)
     config = campaign_config({**given, "env": named_env(given.get("env"), ads) or CampaignConfig.env})
@@ -107,19 +114,37 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
+    _say_rates(config, found, folder, output)
+    write_json(json_file, _values(config, found))
     decision = found[Path(ads).name].decision
+    return _CODES[decision.verdict] if decision is not None else OK
+
+
+def _say_rates(
+    config: CampaignConfig, found: Mapping[str, Evaluation], folder: RateFolder | None, output: TextIO
+) -> None:
+    """Print what was found, and write the card."""
+    own = next(iter(found.values()))
     say(table(config.env, found), file=output)
     if DRAWN in found:
-        say(_gap(found[Path(ads).name], found[DRAWN]), file=output)
-    if decision is not None:
-        say(hanging("", f"{decision.words}, {CLAUSE.format(config.env)}"), file=output)
+        say(_gap(own, found[DRAWN]), file=output)
+    if own.decision is not None:
+        say(hanging("", f"{own.decision.words}, {CLAUSE.format(config.env)}"), file=output)
     if folder is not None:
         folder.write_card(found)
         say(f"Card: {folder.path / CARD}.md", file=output)
         if (folder.run / CONFIG).is_file():
             say(f"Failures: {program()} report {shlex.quote(str(folder.run))}", file=output)
-    write_json(json_file, _values(config, found))
-    return _CODES[decision.verdict] if decision is not None else OK
+
+
+def _ranked(policies: Path, out: Path | None, given: dict[str, Any], *, quiet: bool) -> int:
+    """Evaluate several drivers, and write the page that ranks them."""
+    if out is None or "ads" in given:
+        raise InputError(f"{policies} names the drivers, so give --out FOLDER for the page, and no --ads")
+    with Meter(sys.stderr, len(listed(policies)), "drivers", quiet=quiet) as meter:
+        page = board(policies, out, observe=meter.show, **given)
+    say(f"Page: {page}")
+    return OK
 
 
 def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None:
