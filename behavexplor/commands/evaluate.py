@@ -16,6 +16,7 @@ import tyro
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.api.evaluating import board, listed
+from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CONFIG, CampaignConfig, campaign_config
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.display import Meter
@@ -97,21 +98,20 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     count = scenarios if scenarios is not None else DECIDING if goal else SCENARIOS
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
-    if policies is not None:
-        shared = {**given, "outcome": outcome, "scenarios": count, "workers": chosen_workers(workers)}
-        return _ranked(policies, out, shared, quiet=quiet)
     ads = given.get("ads", CampaignConfig.ads)
     check_name(ads)
     config = campaign_config({**given, "env": named_env(given.get("env"), ads) or CampaignConfig.env})
-    folder = None if out is None else RateFolder(out, config)
+    folder = None if out is None or policies else RateFolder(out, config)
     run = _Run(count, config.seed, chosen_workers(workers), quiet, goal, folder)
     try:
+        if policies is not None:
+            return _ranked(policies, out, given, outcome, run, output)
         found = _evaluations(config, run, controls=controls)
     except ADSError as error:
         failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
         say(f"{program()}: {sentence(failure)}", file=sys.stderr)
         return EXECUTION_FAILED
-    except RuntimeError as error:
+    except (RuntimeError, ExecutionError) as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
     _say_rates(config, found, folder, output)
@@ -137,13 +137,14 @@ def _say_rates(
             say(f"Failures: {program()} report {shlex.quote(str(folder.run))}", file=output)
 
 
-def _ranked(policies: Path, out: Path | None, given: dict[str, Any], *, quiet: bool) -> int:
+def _ranked(policies: Path, out: Path | None, given: dict[str, Any], outcome: str, run: "_Run", output: TextIO) -> int:
     """Evaluate several drivers, and write the page that ranks them."""
-    if out is None or "ads" in given:
-        raise InputError(f"{policies} names the drivers, so give --out FOLDER for the page, and no --ads")
-    with Meter(sys.stderr, len(listed(policies)), "drivers", quiet=quiet) as meter:
-        page = board(policies, out, observe=meter.show, **given)
-    say(f"Page: {page}")
+    if out is None or "ads" in given or run.goal is not None:
+        raise InputError(f"{policies} names the drivers: give --out FOLDER, and no --ads, --below or --until")
+    shared = {**given, "outcome": outcome, "scenarios": run.scenarios, "workers": run.workers}
+    with Meter(sys.stderr, len(listed(policies)), "drivers", quiet=run.quiet) as meter:
+        page = board(policies, out, observe=meter.show, **shared)
+    say(f"Page: {page}", file=output)
     return OK
 
 
@@ -153,11 +154,11 @@ def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None
     Raises:
         InputError: if both flags are given, or a value is out of range.
     """
-    if below is None and until is None:
-        return None
     known = (ARRIVED, *(spec.name for spec in SPECS), AT_FAULT, FAILED)
     if outcome not in known:
         raise unknown_name("outcome", outcome, known)
+    if below is None and until is None:
+        return None
     return Goal(outcome, below, until)
 
 

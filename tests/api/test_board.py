@@ -6,7 +6,7 @@ import pytest
 
 import behavexplor
 from behavexplor.api.evaluating import BOARD, listed
-from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.errors import InputError
 from behavexplor.rate_folder import CARD
 
@@ -53,6 +53,16 @@ def test_the_command_makes_the_same_page(ranked, tmp_path, capsys):
     assert (tmp_path / "out" / BOARD).read_bytes() == (ranked / BOARD).read_bytes()
     assert main(["evaluate", str(file), *flags]) == BAD_INPUT
     assert "give --out FOLDER" in capsys.readouterr().err
+    assert main(["evaluate", str(file), "--outcome", "colision", "--out", str(tmp_path / "out"), *flags]) == BAD_INPUT
+    assert "did you mean 'collision'?" in capsys.readouterr().err
+
+
+def test_a_driver_that_fails_ends_the_ranking_with_its_words(tmp_path, capsys):
+    file = tmp_path / "policies.yaml"
+    file.write_text("lost: {ads: 'tests.drivers:Lost', env: lane-follow}\n")
+    flags = ["--scenarios", "3", "--workers", "1", "--quiet", "--out", str(tmp_path / "out")]
+    assert main(["evaluate", str(file), *flags]) == EXECUTION_FAILED
+    assert "In one of the scenarios the ADS failed (invalid)" in capsys.readouterr().err
 
 
 def test_a_folder_of_policies_is_listed_by_names():
