@@ -9,13 +9,13 @@ import time
 import numpy as np
 import pytest
 
+from behavexplor.api.rate_folder import CARD, OUTCOMES, RateFolder
 from behavexplor.campaign.config import campaign_config
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 from behavexplor.evaluation import BLOCK, estimate_rates, failing, start_judge
 from behavexplor.execution.start import logical_of_target
 from behavexplor.judge.rates import Goal
-from behavexplor.rate_folder import CARD, OUTCOMES, RateFolder
 
 CONFIG = campaign_config({"env": "roundabout-v0", "ads": "constant:FASTER"})
 

@@ -14,6 +14,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeS
 from behavexplor.ads.in_memory import given_driver
 from behavexplor.ads.sb3.description import WEIGHTS
 from behavexplor.api.conducting import in_this_process, worker_count
+from behavexplor.api.rate_folder import CARD, RateFolder
 from behavexplor.campaign.config import CampaignConfig, campaign_config, check_said_twice, read_yaml
 from behavexplor.data.drawn_scenario import DECLARED, config_text
 from behavexplor.data.trace import ARRIVED
@@ -22,7 +23,6 @@ from behavexplor.errors import InputError, brief
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Goal
-from behavexplor.rate_folder import CARD, RateFolder
 from behavexplor.report.rendering import rendered
 from behavexplor.report.run_page import written
 

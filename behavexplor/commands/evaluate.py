@@ -16,6 +16,7 @@ import tyro
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.api.evaluating import board, listed
+from behavexplor.api.rate_folder import CARD, CLAUSE, MOST_STORED, RateFolder
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CONFIG, CampaignConfig, campaign_config
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
@@ -35,7 +36,6 @@ from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import check_ads, logical_of_target
 from behavexplor.judge.rates import ABOVE, AT_FAULT, BELOW, FAILED, KNOWN, Goal
 from behavexplor.judge.specs import SPECS
-from behavexplor.rate_folder import CARD, CLAUSE, MOST_STORED, RateFolder
 
 SCENARIOS, DECIDING, MOST_SCENARIOS = 1000, 1_000_000, 10_000_000
 _CODES: Final = MappingProxyType({BELOW: OK, KNOWN: OK, ABOVE: CHECK_FAILED, "": UNDECIDED})

@@ -6,9 +6,9 @@ import pytest
 
 import behavexplor
 from behavexplor.api.evaluating import BOARD, listed
+from behavexplor.api.rate_folder import CARD
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.errors import InputError
-from behavexplor.rate_folder import CARD
 
 ENTRIES = {
     "faster": {"ads": "constant:FASTER", "env": "roundabout-v0", "source": "<b>none</b>"},
