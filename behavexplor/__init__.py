@@ -17,11 +17,21 @@ if TYPE_CHECKING:
     from behavexplor.api.campaigns import find_failures
     from behavexplor.api.comparing import Comparison, compare
     from behavexplor.api.conducting import Interrupted
-    from behavexplor.api.evaluating import evaluate
+    from behavexplor.api.evaluating import board, evaluate
     from behavexplor.api.run import Run, open_run
     from behavexplor.errors import InputError
 
-__all__ = ["Comparison", "InputError", "Interrupted", "Run", "compare", "evaluate", "find_failures", "open_run"]
+__all__ = [
+    "Comparison",
+    "InputError",
+    "Interrupted",
+    "Run",
+    "board",
+    "compare",
+    "evaluate",
+    "find_failures",
+    "open_run",
+]
 __version__ = "0.1.0"
 
 _INTERFACE = {  # module of each name of the Python interface
@@ -29,6 +39,7 @@ _INTERFACE = {  # module of each name of the Python interface
     "InputError": "errors",
     "Interrupted": "api.conducting",
     "Run": "api.run",
+    "board": "api.evaluating",
     "compare": "api.comparing",
     "evaluate": "api.evaluating",
     "find_failures": "api.campaigns",

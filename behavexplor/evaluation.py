@@ -4,9 +4,10 @@ import json
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from itertools import islice
-from typing import Final, NamedTuple, Self
+from functools import cached_property, lru_cache
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -14,39 +15,24 @@ from behavexplor.ads.interface import ADS
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.target import Target
-from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
+from behavexplor.data.trace import ARRIVED, Trace
+from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import ADSError, Executor
+from behavexplor.execution.rollout import LockStep, run_episodes
 from behavexplor.execution.start import start_executor, start_in_process
-from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault
-from behavexplor.judge.rates import AT_FAULT, FAILED, Decision, Goal, clopper_pearson
-from behavexplor.judge.specs import SPECS, judge
+from behavexplor.judge.outcomes import OutcomeBlock, OutcomeFile, Outcomes, outcomes_from, outcomes_of, packed, unpacked
+from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Decision, Goal, clopper_pearson
+from behavexplor.judge.specs import SPECS
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
 _BETWEEN_LOOKS: Final = 1.005  # ratio of the numbers of scenarios at two looks at a rate
-AHEAD: Final = 1024  # scenarios under way, enough for many processes in lock-step
-
-
-_SIGNALS: Final = {ARRIVED: ARRIVED, SPECS[1].name: OFF_ROAD, SPECS[2].name: ARRIVED}  # that an outcome needs
-
-
-class Outcomes(NamedTuple):
-    """What happened in one scenario.
-
-    Attributes:
-        found: the outcomes, see `Evaluation`.
-        asked: the outcomes, beside the verdicts on a collision, that mean something in the environment.
-        at_fault: whether the driver failed by its own fault; see `behavexplor.campaign.record.Record.at_fault`.
-    """
-
-    found: list[str]
-    asked: list[str]
-    at_fault: bool
-
-    @property
-    def passed(self) -> bool:
-        """True if the driver did not fail."""
-        return set(self.found) <= {ARRIVED}
+AHEAD: Final = 1024  # scenarios under way that are judged by their traces, enough for many processes in lock-step
+BLOCK, SMALL_BLOCK = 256, 32  # scenarios that are counted together, or judged by their traces
+BLOCKS_AHEAD: Final = 64
+_SLOTS: Final = 128  # episodes in lock-step while failures are counted
+Observe = Callable[[int], None]
+_COUNTS, _COUNT = "counts", "count"  # functions of the service
 
 
 @dataclass(frozen=True)
@@ -59,42 +45,106 @@ class Evaluation:
             verdict on a collision. Outcomes are in the order in which they are reported.
         decision: what was decided on a rate, if the evaluation ended when enough was known. Its number of scenarios
             then depends on what happened in them, so `interval` does not hold, but that of the decision does.
+        failed: number of failures.
+        at_fault: number of failures by the driver's own fault.
     """
 
     n: int
     counts: Mapping[str, int]
     decision: Decision | None = None
-
-    @classmethod
-    def of(cls, traces: Iterable[Trace]) -> Self:
-        """Judge traces and count their outcomes."""
-        return cls.of_outcomes(map(outcomes_of, traces))
+    failed: int = 0
+    at_fault: int = 0
 
     @classmethod
     def of_outcomes(cls, scenarios: Iterable[Outcomes]) -> Self:
         """Count the outcomes of scenarios. An outcome that means nothing in any of them is left out."""
-        judged = list(scenarios)
-        found = Counter(outcome for one in judged for outcome in one.found)
-        asked = {outcome for one in judged for outcome in one.asked}
+        return cls.of_kinds(Counter(scenarios))
+
+    @classmethod
+    def of_kinds(cls, kinds: Mapping[Outcomes, int]) -> Self:
+        """Count the outcomes of scenarios by how often each combination of outcomes occurred."""
+        found: Counter[str] = Counter()
+        for one, count in kinds.items():
+            found.update(dict.fromkeys(one.found, count))
+        asked = {outcome for one in kinds for outcome in one.asked}
         faults = sorted(outcome for outcome in found if ": " in outcome)
         names = [ARRIVED, SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:])]
-        return cls(len(judged), {name: found[name] for name in names if name in asked or name in faults})
+        n = sum(kinds.values())
+        counts = {name: found[name] for name in names if name in asked or name in faults}
+        failed, at_fault = (sum(kinds[one] for one in kinds if _has(one, name)) for name in (FAILED, AT_FAULT))
+        return cls(n, counts, failed=failed, at_fault=at_fault)
+
+    def count(self, outcome: str) -> int:
+        """Return the number of scenarios with an outcome, which may also be `AT_FAULT` or `FAILED`."""
+        return {**self.counts, FAILED: self.failed, AT_FAULT: self.at_fault}.get(outcome, 0)
 
     def rate(self, outcome: str) -> float:
         """Return the share of scenarios with an outcome."""
-        return self.counts.get(outcome, 0) / self.n
+        return self.count(outcome) / self.n
 
-    def interval(self, outcome: str) -> tuple[float, float]:
-        """Return the exact 95 % interval of a rate (Clopper and Pearson)."""
-        return clopper_pearson(self.counts.get(outcome, 0), self.n)
+    def interval(self, outcome: str, alpha: float = ALPHA) -> tuple[float, float]:
+        """Return the exact interval of a rate (Clopper and Pearson), which misses it with a probability of alpha."""
+        return clopper_pearson(self.count(outcome), self.n, alpha)
 
 
 class Judge(Evaluator):
-    """An evaluator that tells the outcomes of a scenario instead of its trace, which takes longer to pack."""
+    """An evaluator that tells the outcomes of a scenario instead of its trace, which takes longer to pack.
+
+    If the driver decides for many episodes at a time in a compiled environment, it also counts: it drives a block of
+    scenarios without recording them, and drives only those that fail once more, for their traces. Failures are not
+    confirmed one by one: a rate does not depend on the few episodes, if any, that end otherwise in highway-env, and a
+    driver that crashes often would take hundreds of times as long.
+    """
+
+    def begin(self) -> None:
+        """Load the ADS and create its environment; see `Evaluator.begin`."""
+        super().begin()
+        self.functions = {**self.functions, _COUNTS: self.counts, _COUNT: self.count}
 
     def answer(self, trace: Trace) -> bytes:
         """Return the `Outcomes` as a JSON list."""
         return json.dumps(outcomes_of(trace)).encode()
+
+    @cached_property
+    def _driven(self) -> tuple[LockStep, LockStep] | None:
+        """Episodes with short traces and with whole ones; None if this driver or environment cannot count."""
+        if not getattr(self.simulation.ads, "vectorized", False):
+            return None
+        short, whole = self.simulation.lock_step(_SLOTS, short=True), self.simulation.lock_step(self._lock_step)
+        return (short, whole) if short is not None and whole is not None else None
+
+    def counts(self, _: bytes) -> bytes:
+        """Return whether `count` can be called: one byte if so, none otherwise."""
+        return b"1" if self._driven else b""
+
+    def count(self, block: bytes) -> bytes:
+        """Return the outcomes of a block of scenarios, see `packed`.
+
+        Args:
+            block: state of the generator that draws them, and their number, as JSON.
+
+        Raises:
+            ADSError: if the ADS fails in one of them. It is unknown in which one.
+            RuntimeError: if a failure did not recur.
+        """
+        state, n = json.loads(block)
+        generator, logical = _generator(state), self.simulation.logical
+        scenarios = [logical.sample(generator) for _ in range(n)]
+        if self._driven is None:
+            raise RuntimeError("this driver or environment cannot count")
+        for episodes in self._driven:
+            if episodes.is_running:  # the driver has failed in an earlier block
+                episodes.give_up()
+        short, whole = self._driven
+        found: dict[int, Outcomes] = {}
+        for number, trace in run_episodes(short, scenarios):
+            if trace is not None and (one := _outcomes_of_short(trace)).passed:
+                found[number] = one
+        failing = sorted({*range(n)} - found.keys())
+        for k, trace in run_episodes(whole, [scenarios[number] for number in failing]):
+            found[failing[k]] = outcomes_of(trace)
+        differing = [number for number in failing if found[number].passed]
+        return json.dumps({**packed([found[number] for number in range(n)]), "differing": differing}).encode()
 
 
 def start_judge(target: Target, workers: int, driver: ADS | None = None) -> Executor:
@@ -112,57 +162,45 @@ def start_judge(target: Target, workers: int, driver: ADS | None = None) -> Exec
 
 
 def estimate_rates(
-    judge: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
+    judge: Executor,
+    logical: LogicalScenario,
+    n: int,
+    seed: int,
+    observe: Observe | None = None,
+    *,
+    goal: Goal | None = None,
+    file: OutcomeFile | None = None,
 ) -> Evaluation:
     """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the number of workers.
 
     Args:
         judge: executor of the ADS, see `start_judge`.
         logical: logical scenario of its environment.
-        n: number of scenarios.
+        n: number of scenarios, or the greatest number if there is a goal.
         seed: seed of the random scenarios.
         observe: callback that gets the number of finished scenarios.
+        goal: what is to be known of a rate. The evaluation ends as soon as it is.
+        file: file from which the evaluation goes on, and to which it is written; None for none.
 
     Raises:
         ADSError: if the ADS fails in a scenario.
-        RuntimeError: if a scenario could not be executed.
+        InputError: if the file is damaged.
+        RuntimeError: if a scenario could not be executed, or failed only once.
     """
-    return Evaluation.of_outcomes(uniform_outcomes(judge, logical, n, seed, observe))
-
-
-def decide_rate(
-    judge: Executor,
-    logical: LogicalScenario,
-    goal: Goal,
-    most: int,
-    seed: int,
-    observe: Callable[[int], None] | None = None,
-) -> Evaluation:
-    """Evaluate an ADS in uniformly drawn scenarios until a goal is reached. Workers do not change the result.
-
-    Args:
-        judge: see `estimate_rates`.
-        logical: see `estimate_rates`.
-        goal: what is to be known.
-        most: greatest number of scenarios.
-        seed: see `estimate_rates`.
-        observe: see `estimate_rates`.
-
-    Raises:
-        ADSError: if the ADS fails in a scenario.
-        RuntimeError: if a scenario could not be executed.
-    """
-    judged: list[Outcomes] = []
-    count, look = 0, 1
-    for one in uniform_outcomes(judge, logical, most, seed, observe):
-        judged.append(one)
+    outcomes = uniform_outcomes(judge, logical, n, seed, observe, file)
+    if goal is None:
+        return Evaluation.of_outcomes(outcomes)
+    kinds: Counter[Outcomes] = Counter()
+    done, count, look = 0, 0, 1
+    for done, one in enumerate(outcomes, 1):
+        kinds[one] += 1
         count += _has(one, goal.outcome)
-        if len(judged) < look:
+        if done < look:
             continue
-        look = math.ceil(len(judged) * _BETWEEN_LOOKS)
-        if Decision.of(goal, len(judged), count).verdict:
+        look = math.ceil(done * _BETWEEN_LOOKS)
+        if Decision.of(goal, done, count).verdict:
             break
-    return replace(Evaluation.of_outcomes(judged), decision=Decision.of(goal, len(judged), count))
+    return replace(Evaluation.of_kinds(kinds), decision=Decision.of(goal, done, count))
 
 
 def _has(one: Outcomes, outcome: str) -> bool:
@@ -173,38 +211,125 @@ def _has(one: Outcomes, outcome: str) -> bool:
 
 
 def uniform_outcomes(
-    judge: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
+    judge: Executor,
+    logical: LogicalScenario,
+    n: int,
+    seed: int,
+    observe: Observe | None = None,
+    file: OutcomeFile | None = None,
 ) -> Iterator[Outcomes]:
-    """Yield the outcomes of uniformly drawn scenarios in their order; see `estimate_rates`."""
-    generator = np.random.default_rng([STREAM, seed])
-    return outcomes_in(judge, (logical.sample(generator) for _ in range(n)), observe)
+    """Yield the outcomes of uniformly drawn scenarios in their order; see `estimate_rates`.
+
+    Those in the file are not driven again, and the others are added to it in whole blocks.
+    """
+    generator, done, observe = np.random.default_rng([STREAM, seed]), 0, observe or (lambda _: None)
+    for block in file.blocks() if file else ():
+        yield from block.outcomes[: n - done]
+        done, generator = done + len(block.outcomes), _generator(block.state)
+        observe(min(done, n))
+    for block in uniform_blocks(judge, logical, range(done, n), generator, observe):
+        if file is not None:
+            file.append(block)
+        yield from block.outcomes
 
 
-def outcomes_in(
-    judge: Executor, scenarios: Iterable[Scenario], observe: Callable[[int], None] | None = None
-) -> Iterator[Outcomes]:
-    """Execute scenarios and yield their outcomes in order. At most `AHEAD` of them are under way."""
-    requests = (scenario.to_json().encode() for scenario in scenarios)
-    waiting = deque(judge.submit(EXECUTE, request) for request in islice(requests, AHEAD))
-    done = 0
-    while waiting:
-        yield Outcomes(*json.loads(waiting.popleft().result()))
-        waiting.extend(judge.submit(EXECUTE, request) for request in islice(requests, 1))
-        done += 1
-        if observe is not None:
-            observe(done)
+def failing(file: OutcomeFile, logical: LogicalScenario, seed: int, n: int) -> Iterator[tuple[int, Scenario]]:
+    """Yield number and scenario of each failure among the first n scenarios of an evaluation.
+
+    Args:
+        file: file of the evaluation.
+        logical: see `estimate_rates`.
+        seed: see `estimate_rates`.
+        n: number of scenarios.
+    """
+    generator, first = np.random.default_rng([STREAM, seed]), 0
+    for outcomes, state in file.blocks():
+        failed = [place for place, one in enumerate(outcomes) if not one.passed and first + place < n]
+        scenarios = [logical.sample(generator) for _ in outcomes] if failed else []
+        yield from ((first + place, scenarios[place]) for place in failed)
+        generator, first = _generator(state), first + len(outcomes)
 
 
-def outcomes_of(trace: Trace) -> Outcomes:
-    """Judge a trace."""
-    verdict = judge(trace, SPECS)
-    arrived = trace.signals[ARRIVED].any() if ARRIVED in trace.signals else trace.end == ARRIVED
-    arrived = arrived and trace.end != "collision"  # in a roundabout, an ego may get beyond the entry and crash there
-    found = [*([ARRIVED] if arrived else []), *verdict.violated]
-    fault = contact_fault(trace)
-    if fault:
-        found.append(f"{SPECS[0].name}: {fault}")
-    names = (ARRIVED, *(spec.name for spec in SPECS))
-    asked = [name for name in names if not trace.signals or _SIGNALS.get(name, CRASHED) in trace.signals]
-    at_fault = bool(verdict.violated) and is_at_fault(collision_fault(trace, verdict.violated))
-    return Outcomes(found, asked, at_fault)
+def uniform_blocks(
+    judge: Executor, logical: LogicalScenario, numbers: range, generator: np.random.Generator, observe: Observe
+) -> Iterator[OutcomeBlock]:
+    """Yield the outcomes of uniformly drawn scenarios in blocks, in their order; see `estimate_rates`.
+
+    Workers judge several blocks at a time. A block is yielded when all before it have been.
+
+    Args:
+        judge: see `estimate_rates`.
+        logical: see `estimate_rates`.
+        numbers: numbers of the scenarios.
+        generator: generator that draws them.
+        observe: see `estimate_rates`.
+
+    Raises:
+        ADSError: if the ADS fails in a scenario.
+        RuntimeError: if a scenario could not be executed, or failed only once.
+    """
+    is_counted = bool(judge.submit(_COUNTS, b"").result())
+    size, ahead = SMALL_BLOCK, AHEAD // SMALL_BLOCK
+    if is_counted:
+        size, ahead = BLOCK, 0 if judge.runs_here else BLOCKS_AHEAD
+    started: deque[tuple[range, Any, list[Future[bytes]], Any]] = deque()
+
+    def finished() -> OutcomeBlock:
+        own, before, waiting, after = started.popleft()
+        found = _counted(waiting[0], own) if is_counted else None
+        if found is None:
+            found = []
+            waiting = _each(judge, logical, _generator(before), len(own)) if is_counted else waiting
+            for number, future in zip(own, waiting, strict=True):
+                found.append(outcomes_from(*json.loads(future.result())))
+                observe(number + 1)
+        observe(own.stop)
+        return OutcomeBlock(found, after)
+
+    for first in range(0, len(numbers), size):
+        own, before = numbers[first : first + size], generator.bit_generator.state
+        if is_counted:
+            waiting = [judge.submit(_COUNT, json.dumps([before, len(own)]).encode())]
+            for _ in own:
+                logical.pass_over(generator)
+        else:
+            waiting = _each(judge, logical, generator, len(own))
+        started.append((own, before, waiting, generator.bit_generator.state))
+        if len(started) > ahead:
+            yield finished()
+    while started:
+        yield finished()
+
+
+def _each(judge: Executor, logical: LogicalScenario, generator: np.random.Generator, n: int) -> list["Future[bytes]"]:
+    """Judge the next n scenarios one by one, by their traces."""
+    scenarios = (logical.sample(generator) for _ in range(n))
+    return [judge.submit(EXECUTE, scenario.to_json().encode()) for scenario in scenarios]
+
+
+def _counted(answer: "Future[bytes]", numbers: range) -> list[Outcomes] | None:
+    """Return the outcomes of a counted block; None if that failed, and each scenario must tell whether it is to blame.
+
+    Raises:
+        RuntimeError: if a failure did not recur.
+    """
+    try:
+        counted = json.loads(answer.result())
+    except (ADSError, InputError, RuntimeError):
+        return None
+    for place in counted["differing"]:
+        raise RuntimeError(
+            f"scenario {numbers[place]} failed, and did not fail when it was driven again: the driver does not do the "
+            f"same twice, or this is an error of behavexplor"
+        )
+    return unpacked(counted)
+
+
+def _generator(state: Any) -> np.random.Generator:
+    """Return the generator of a state."""
+    generator = np.random.default_rng(0)
+    generator.bit_generator.state = state
+    return generator
+
+
+_outcomes_of_short = lru_cache(maxsize=1)(outcomes_of)  # of the trace that stands for all episodes without failure

@@ -14,7 +14,7 @@ from typing import Any
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from benchmarks.analysis import analysis_rows
-from benchmarks.execution import Pace, lock_step_rows, main_systems, stock_rows, worker_rows
+from benchmarks.execution import Pace, counting_rows, lock_step_rows, main_systems, stock_rows, worker_rows
 from benchmarks.highway import highway_rows
 from benchmarks.scale import scale_rows
 from benchmarks.stages import stage_rows
@@ -96,6 +96,11 @@ def scale(count: int) -> list[Row]:
     return scale_rows(200 + 4 * count)
 
 
+def counting(count: int) -> list[Row]:
+    """Evaluation: episodes per CPU second, judged by their traces and counted."""
+    return counting_rows(count)
+
+
 PARTS: dict[str, Callable[[int], list[Row]]] = {
     "execution": execution,
     "workers": workers,
@@ -104,6 +109,7 @@ PARTS: dict[str, Callable[[int], list[Row]]] = {
     "stages": stages,
     "highway": highway,
     "scale": scale,
+    "counting": counting,
 }
 
 

@@ -15,6 +15,7 @@ from stable_baselines3 import PPO
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.target import Target
 from behavexplor.envs.making import environment_id
+from behavexplor.evaluation import start_judge, uniform_outcomes
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
@@ -160,3 +161,31 @@ def main_systems(env: str, folder: Path) -> list[str]:
     torch.set_num_threads(1)
     shipped = f"learned:{env}"
     return ["constant", "benchmarks.execution:Cruiser", shipped, str(untrained_policy(env, folder)), "idm", "rule"]
+
+
+def counting_rows(count: int, rounds: int = 3) -> list[Row]:
+    """Return rows on episodes per CPU second of this process: judged by their traces, and counted.
+
+    Both ways take turns, and the best round of each counts, since the machine may be busy.
+    """
+    rows = []
+    for env, ads in (("highway-fast-v0", "docs/data/policies/highway-fast.zip"), ("roundabout-v0", "careful")):
+        logical = Simulation(env, ads).logical
+        generator = np.random.default_rng(0)
+        requests = [logical.sample(generator).to_json().encode() for _ in range(count)]
+        with start_judge(Target(env, ads, unconfined=True), 0) as judge:
+            ways = {
+                "traces": lambda judge=judge, requests=requests: [
+                    future.result() for future in [judge.submit(EXECUTE, request) for request in requests]
+                ],
+                "counted": lambda judge=judge, logical=logical: list(uniform_outcomes(judge, logical, 4 * count, 0)),
+            }
+            times = {
+                way: min(used)
+                for way, used in zip(
+                    ways, zip(*([cpu(run) for run in ways.values()] for _ in range(rounds)), strict=True), strict=True
+                )
+            }
+        traces, counted = count / times["traces"], 4 * count / times["counted"]
+        rows.append({"env": env, "ads": Path(ads).name, "traces": traces, "counted": counted, "x": counted / traces})
+    return rows

@@ -14,10 +14,11 @@ from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, 
 from behavexplor.commands.evaluate import table
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
-from behavexplor.evaluation import STREAM, Evaluation, decide_rate, estimate_rates, start_judge, uniform_outcomes
+from behavexplor.evaluation import STREAM, Evaluation, estimate_rates, start_judge, uniform_outcomes
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.outcomes import outcomes_of
 from behavexplor.judge.rates import ABOVE, BELOW, Decision, Goal
 from tests.confining import confines
 from tests.drivers import Cruiser
@@ -72,7 +73,7 @@ def test_no_scenarios_no_traces(cruising):
 
 
 def test_outcomes_are_counted(cruising):
-    found = Evaluation.of(cruising[2])
+    found = Evaluation.of_outcomes(map(outcomes_of, cruising[2]))
     traces = cruising[2]
     assert found.n == 23
     assert found.counts["arrived"] == sum(trace.end == "arrived" for trace in traces)
@@ -100,7 +101,7 @@ def test_an_evaluation_ends_where_its_rate_is_decided_however_many_are_under_way
     monkeypatch.setattr(evaluation, "AHEAD", ahead)
     logical = cruising[0].logical
     with start_judge(Target("intersection-straight", "tests.drivers:Cruiser", unconfined=True), 0) as executor:
-        found = decide_rate(executor, logical, goal, 200, 0)
+        found = estimate_rates(executor, logical, 200, 0, goal=goal)
         whole = list(uniform_outcomes(executor, logical, found.n, 0))
     decision = found.decision
     assert decision.verdict == verdict
@@ -113,7 +114,7 @@ def test_an_evaluation_ends_where_its_rate_is_decided_however_many_are_under_way
 
 def test_an_undecided_rate_is_said_to_be(cruising):
     with start_judge(Target("intersection-straight", "tests.drivers:Cruiser", unconfined=True), 0) as executor:
-        found = decide_rate(executor, cruising[0].logical, Goal("lines", until=0.01), 5, 0)
+        found = estimate_rates(executor, cruising[0].logical, 5, 0, goal=Goal("lines", until=0.01))
     assert not found.decision.verdict
     assert found.decision.n == 5
 
@@ -170,9 +171,9 @@ def test_the_same_seed_gives_the_same_rates_however_many_are_under_way(ahead, cr
         first = estimate_rates(executor, logical, 12, 0, done.append)
         other = estimate_rates(executor, logical, 12, 1)
     generator = np.random.default_rng([STREAM, 0])
-    assert first == Evaluation.of(cruising[0].run(logical.sample(generator)) for _ in range(12))
+    assert first == Evaluation.of_outcomes(outcomes_of(cruising[0].run(logical.sample(generator))) for _ in range(12))
     assert first != other
-    assert done == list(range(1, 13))
+    assert done[-1] == 12
 
 
 def evaluated(tmp_path, ads, *flags):
@@ -254,7 +255,7 @@ def test_an_ego_that_crashes_has_not_arrived():
     generator = np.random.default_rng(0)
     traces = [trace for _, trace in simulation.run_all([simulation.logical.sample(generator) for _ in range(40)])]
     beyond = sum(bool(trace.signals["arrived"].any()) for trace in traces)
-    found = Evaluation.of(traces).counts
+    found = Evaluation.of_outcomes(map(outcomes_of, traces)).counts
     assert found["arrived"] == sum(trace.end != "collision" for trace in traces) < beyond
     assert found["arrived"] + found["collision"] == 40
     assert found["destination"] == 40 - beyond

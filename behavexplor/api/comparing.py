@@ -16,8 +16,8 @@ from behavexplor.api.observers import Observer
 from behavexplor.api.run import Run
 from behavexplor.campaign.config import CampaignConfig, stamped_folder
 from behavexplor.errors import InputError
-from behavexplor.repair.pair_campaigns import FIRST, PAGE, SECOND, SETTINGS, compared, second_config
-from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, Pairs, rows
+from behavexplor.repair.pair_campaigns import FIRST, PAGE, SECOND, SETTINGS, compared, looks, second_config
+from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, MarginDecision, Pairs, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page, written
 
@@ -50,6 +50,10 @@ class Comparison:
     def pairs(self) -> tuple[Pairs, ...]:
         """The paired statistics of each outcome: any failure, failures at fault, and violations of each requirement."""
         return tuple(compared(self.folder))
+
+    def decision(self, margin: float) -> MarginDecision:
+        """Return whether the second driver is no worse than the first one by a margin, such as 0.01."""
+        return MarginDecision.of(self.pairs, margin)
 
     @property
     def fixed(self) -> tuple[int, ...]:
@@ -114,6 +118,7 @@ def compare(  # noqa: PLR0913 - one argument for each choice
     env: str | gymnasium.Env[Any, Any] | None = None,
     *,
     scenarios: int = 1000,
+    margin: float | None = None,
     seed: int = CampaignConfig.seed,
     specs: Sequence[Requirement] = (),
     env_config: Mapping[str, Any] | None = None,
@@ -131,7 +136,8 @@ def compare(  # noqa: PLR0913 - one argument for each choice
         second: the second driver. In highway-env's own environments, it drives in the scene of the first one, with its
             own observations and actions.
         env: see `behavexplor.find_failures`; by default the environment in which the first model was trained.
-        scenarios: number of scenarios.
+        scenarios: number of scenarios; with a margin, the greatest number.
+        margin: the comparison ends when `Comparison.decision` has a verdict for this margin; None to drive in all.
         seed: seed of the drawn scenarios.
         specs: see `behavexplor.find_failures`.
         env_config: see `behavexplor.find_failures`.
@@ -158,9 +164,15 @@ def compare(  # noqa: PLR0913 - one argument for each choice
         worker_count(given, replace(config, ads=given.name).target, workers)
     folder = Path(out) if out is not None else stamped_folder("compare")
     try:
-        conduct(config, folder / FIRST, one, workers=workers, progress=progress)
-        again = second_config(config, other.name, folder / FIRST)
-        conduct(again, folder / SECOND, other, workers=workers, progress=progress)
+        goes_on = False
+        for budget in looks(scenarios, margin):
+            config = replace(config, budget=str(budget))
+            conduct(config, folder / FIRST, one, workers=workers, progress=progress, resume=goes_on)
+            again = second_config(config, other.name, folder / FIRST)
+            conduct(again, folder / SECOND, other, workers=workers, progress=progress, resume=goes_on)
+            goes_on = True
+            if margin is not None and Comparison(folder, one, other).decision(margin).found:
+                break
     except Interrupted as error:
         raise KeyboardInterrupt(f"The comparison in {folder} is not complete") from error
     return Comparison(folder, one, other)

@@ -1,8 +1,10 @@
 """Rates of arrival and violations of a driver, from Python."""
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from math import inf
+from pathlib import Path
 from typing import Any, Final
 
 import gymnasium
@@ -10,14 +12,19 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, TimeLimit
 
 from behavexplor.ads.in_memory import given_driver
+from behavexplor.ads.sb3.description import WEIGHTS
 from behavexplor.api.conducting import in_this_process, worker_count
-from behavexplor.campaign.config import CampaignConfig, campaign_config
+from behavexplor.api.rate_folder import CARD, RateFolder
+from behavexplor.campaign.config import CampaignConfig, campaign_config, check_said_twice, read_yaml
 from behavexplor.data.drawn_scenario import DECLARED, config_text
+from behavexplor.data.trace import ARRIVED
 from behavexplor.envs.making import default_config, is_highway
 from behavexplor.errors import InputError, brief
-from behavexplor.evaluation import Evaluation, decide_rate, estimate_rates, start_judge
+from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
-from behavexplor.judge.rates import Goal
+from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Goal
+from behavexplor.report.rendering import rendered
+from behavexplor.report.run_page import written
 
 _HARMLESS: Final = (  # a driver is not told rewards, and limits of time are checked on their own
     OrderEnforcing,
@@ -27,6 +34,8 @@ _HARMLESS: Final = (  # a driver is not told rewards, and limits of time are che
     TimeLimit,
     gymnasium.RewardWrapper,
 )
+BOARD: Final = "board.html"
+_SUFFIXES: Final = (".zip", ".npz", *WEIGHTS)  # of policy files
 _MONITOR: Final = "stable_baselines3.common.monitor"  # the module of a wrapper that changes nothing either
 _UNUSED: Final = frozenset({"method", "options", "budget", "batch", "specs", "revision"})  # keys of searches only
 
@@ -100,7 +109,7 @@ def _check_limit(spec: EnvSpec, config: Mapping[str, Any]) -> None:
         )
 
 
-def evaluate(
+def evaluate(  # noqa: PLR0913 - one argument for each choice
     driver: Any,
     env: str | gymnasium.Env[Any, Any] | None = None,
     *,
@@ -109,6 +118,8 @@ def evaluate(
     goal: Goal | None = None,
     env_config: Mapping[str, Any] | None = None,
     workers: int | None = None,
+    out: str | Path | None = None,
+    alpha: float = ALPHA,
     observe: Callable[[int], None] | None = None,
     **settings: Any,
 ) -> Evaluation:
@@ -122,6 +133,9 @@ def evaluate(
         goal: what is to be known of a rate; the evaluation ends as soon as it is, after at most `scenarios`.
         env_config: see `behavexplor.find_failures`.
         workers: see `behavexplor.find_failures`.
+        out: folder for the outcomes, a card, and the run `failures`; the same call goes on after an interruption. None
+            for none.
+        alpha: probability with which an interval of the card may miss its rate.
         observe: function that gets the number of finished scenarios.
         settings: further keys of the configuration that tell how to drive, see
             `behavexplor.campaign.config.CampaignConfig`.
@@ -137,14 +151,86 @@ def evaluate(
     given = given_driver(driver)
     name, changes = environment_of(given.trained_in(env) or CampaignConfig.env)
     values = {"env": name, "ads": given.name, "env_config": given_config(changes, env_config), **settings}
-    target = campaign_config(values).target
-    count = worker_count(given, target, workers)
+    config = campaign_config({**values, "seed": seed})
+    count = worker_count(given, config.target, workers)
+    folder = None if out is None else RateFolder(Path(out), config)
     with in_this_process(count):
-        executor = start_judge(target, count, given.driver)
+        executor = start_judge(config.target, count, given.driver)
         try:
-            logical = logical_of_target(executor, target.env)
-            if goal is not None:
-                return decide_rate(executor, logical, goal, scenarios, seed, observe)
-            return estimate_rates(executor, logical, scenarios, seed, observe)
+            logical = logical_of_target(executor, config.env)
+            file = None if folder is None else folder.file
+            found = estimate_rates(executor, logical, scenarios, seed, observe, goal=goal, file=file)
         finally:
             executor.shutdown(wait=False)
+        if folder is not None:
+            folder.store_failures(logical, found.n, count, driver=given.driver)
+            folder.write_card({given.name: found}, alpha)
+    return found
+
+
+def listed(policies: str | Path | Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return what `board` evaluates, by name.
+
+    Raises:
+        InputError: if it is nothing, or the file cannot be used.
+    """
+    if isinstance(policies, Mapping):
+        found = dict(policies)
+    elif (path := Path(policies)).is_dir():
+        found = {file.stem: {"ads": str(file)} for file in sorted(path.iterdir()) if file.suffix in _SUFFIXES}
+    else:
+        found = read_yaml(path)
+    for name, entry in found.items():
+        if not (isinstance(entry, Mapping) and "ads" in entry and re.fullmatch(r"\w[\w.-]*", name)):
+            raise InputError(
+                f"{policies}: expected drivers by name, each with its `ads`, as in careful: {{ads: careful}}"
+            )
+    if not found:
+        raise InputError(f"{policies} has no policy")
+    return {name: dict(entry) for name, entry in found.items()}
+
+
+def board(
+    policies: str | Path | Mapping[str, Mapping[str, Any]],
+    out: str | Path,
+    *,
+    outcome: str = Goal.outcome,
+    scenarios: int = 1000,
+    observe: Callable[[int], None] | None = None,
+    **settings: Any,
+) -> Path:
+    """Evaluate several drivers, and rank them on a page. The same call goes on after an interruption.
+
+    Args:
+        policies: settings of `evaluate` by name, with the driver as `ads`, and perhaps a `source` that the page shows;
+            a YAML file of them; or a folder of policy files.
+        out: folder for the page, and below it one for each driver, see `evaluate`.
+        outcome: outcome by whose rate they are ranked.
+        scenarios: number of scenarios of each.
+        observe: function that gets the number of evaluated drivers.
+        settings: settings of `evaluate` where an entry has none of its own.
+
+    Returns:
+        The path of the page. The error probability of its intervals is divided by the number of drivers.
+
+    Raises:
+        InputError: if an argument or an entry cannot be used.
+        behavexplor.execution.executor.ADSError: if a driver fails in a scenario.
+    """
+    entries, folder, cards = listed(policies), Path(out), []
+    alpha = ALPHA / len(entries)
+    for name, entry in entries.items():
+        check_said_twice(entry, settings, str(policies))
+        values = {**settings, **entry, "scenarios": scenarios, "out": folder / name, "alpha": alpha}
+        source, ads = values.pop("source", ""), values.pop("ads")
+        evaluate(ads, **values)
+        cards.append({**json.loads((folder / name / f"{CARD}.json").read_text()), "name": name, "source": source})
+        if observe is not None:
+            observe(len(cards))
+    shown = [outcome, *(name for name in (AT_FAULT, FAILED, ARRIVED) if name != outcome)]
+    rows = sorted(cards, key=lambda card: card["rates"].get(outcome, {"rate": inf})["rate"])
+    heads = ["", "driver", "environment", "scenarios", *(f"{name} (interval)" for name in shown), "classes", "SHA-256"]
+    text = rendered(
+        "board.html.jinja", ("theme.js", "board.js"), rows=rows, heads=heads, shown=shown, outcome=outcome, alpha=alpha
+    )
+    return written(folder / BOARD, text)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple, Self
+from typing import Annotated, Any, Final
 
 import tyro
 
@@ -26,7 +26,7 @@ from behavexplor.errors import InputError, sentence
 from behavexplor.fuzz.methods import GIVEN
 from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
 from behavexplor.repair import pair_campaigns
-from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, Pairs, judged_inferior, rows
+from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, MarginDecision, Pairs, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 
@@ -66,9 +66,10 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         first: The first driving system, as for --ads of fuzz: for example, a policy before it was trained further.
         second: The second driving system.
         given: Settings of both campaigns.
-        scenarios: Number of uniformly sampled scenarios.
+        scenarios: Number of uniformly sampled scenarios; with --margin, the greatest number.
         margin: Greatest difference of the shares of failures at fault that counts as no worse, such as 0.01. The exit
-            code is 0 if B is no worse than A by more than that, 1 if it is worse, and 4 if that is not decided.
+            code is 0 if B is no worse than A by more than that, 1 if it is worse, and 4 if that is not decided. The
+            comparison ends when it is, so p-values and intervals of the table do not hold then.
         search: Also search for scenarios in which one driver fails and the other does not.
         workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the drivers;
             a driver that is not shipped with behavexplor then needs --unconfined.
@@ -87,12 +88,8 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
     folder = out or stamped_folder("compare")
     try:
-        _drive(config, folder / pair_campaigns.FIRST, count, quiet=quiet)
-        other = pair_campaigns.second_config(config, second, folder / pair_campaigns.FIRST)
-        _drive(other, folder / pair_campaigns.SECOND, count, quiet=quiet)
-        pairs = pair_campaigns.compared(folder)
+        other, pairs, verdict = _driven(config, second, folder, count, margin, quiet=quiet)
         say(table(pairs, config.env, first, second), file=output)
-        verdict = None if margin is None else MarginDecision.of(pairs, margin)
         write_json(json_file, {"outcomes": values(pairs), "verdict": verdict and verdict._asdict()})
         _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
         if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
@@ -122,45 +119,32 @@ def _check(margin: float | None, first: str, second: str) -> None:
         check_name(name)
 
 
-class MarginDecision(NamedTuple):
-    """The verdict on the second driver: non-inferior to the first one by a margin, inferior, or undecided.
-
-    Attributes:
-        margin: the margin.
-        found: `NON_INFERIOR`, `INFERIOR`, or "" if it is not decided.
-        after: number of scenarios after which it was decided, or of all.
-    """
-
-    margin: float
-    found: str
-    after: int
-
-    @classmethod
-    def of(cls, pairs: Sequence[Pairs], margin: float) -> Self:
-        """Decide about the failures at fault."""
-        sequence = judged_inferior(next(row for row in pairs if row.outcome == AT_FAULT), margin)
-        return cls(margin, sequence.verdict, sequence.n)
-
-    @property
-    def words(self) -> str:
-        """The verdict as a sentence."""
-        margin = f"{100 * self.margin:g} % of the scenarios"
-        if not self.found:
-            return f"Not decided in {self.after} scenarios whether B is worse than A in {margin}: give more --scenarios"
-        heads = {NON_INFERIOR: f"Non-inferior: B is worse than A in less than {margin}"}
-        head = heads.get(self.found, f"Inferior: B is worse than A in more than {margin}")
-        return f"{head} (failures at fault; decided after {self.after} scenarios; 95 %, valid at any time)"
+def _driven(
+    config: CampaignConfig, second: str, folder: Path, workers: int, margin: float | None, *, quiet: bool
+) -> tuple[CampaignConfig, list[Pairs], MarginDecision | None]:
+    """Drive with both until the margin is decided, and return the second configuration, the pairs and the verdict."""
+    goes_on = False
+    for budget in pair_campaigns.looks(int(config.budget), margin):
+        config = replace(config, budget=str(budget))
+        _drive(config, folder / pair_campaigns.FIRST, workers, quiet=quiet, resume=goes_on)
+        other = pair_campaigns.second_config(config, second, folder / pair_campaigns.FIRST)
+        _drive(other, folder / pair_campaigns.SECOND, workers, quiet=quiet, resume=goes_on)
+        pairs, goes_on = pair_campaigns.compared(folder), True
+        verdict = None if margin is None else MarginDecision.of(pairs, margin)
+        if verdict is not None and verdict.found:
+            break
+    return other, pairs, verdict
 
 
-def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> None:
-    """Run one campaign, and say what its driver's check has found."""
+def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool, resume: bool = False) -> None:
+    """Run one campaign, or go on with it, and say what its driver's check has found."""
 
     def tell(line: str) -> None:
         if not quiet:
             say(line, file=sys.stderr)
 
     with patience(tell), Meter(sys.stderr, int(config.budget), f"scenarios with {config.ads}", quiet=quiet) as meter:
-        warnings = pair_campaigns.driven(config, folder, workers, meter.show)
+        warnings = pair_campaigns.driven(config, folder, workers, meter.show, resume=resume)
     for warning in warnings:
         tell(f"Warning: {config.ads}: {warning}")
 

@@ -1,5 +1,6 @@
 """`behavexplor evaluate`: measure how well a driving system drives."""
 
+import shlex
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -7,14 +8,17 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, TextIO
 
 import scipy
 import tyro
 
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
-from behavexplor.campaign.config import CampaignConfig, campaign_config
+from behavexplor.api.evaluating import board, listed
+from behavexplor.api.rate_folder import CARD, CLAUSE, MOST_STORED, RateFolder
+from behavexplor.campaign.campaign import ExecutionError
+from behavexplor.campaign.config import CONFIG, CampaignConfig, campaign_config
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
@@ -26,15 +30,14 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import ARRIVED
 from behavexplor.errors import InputError, sentence, unknown_name
-from behavexplor.evaluation import Evaluation, decide_rate, estimate_rates, start_judge
+from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.evaluator import DRAWS
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import check_ads, logical_of_target
 from behavexplor.judge.rates import ABOVE, AT_FAULT, BELOW, FAILED, KNOWN, Goal
 from behavexplor.judge.specs import SPECS
 
-SCENARIOS, MOST_SCENARIOS = 1000, 1_000_000
-_CLAUSE: Final = "of the scenarios that {} draws in this configuration, which says nothing about roads"
+SCENARIOS, DECIDING, MOST_SCENARIOS = 1000, 1_000_000, 10_000_000
 _CODES: Final = MappingProxyType({BELOW: OK, KNOWN: OK, ABOVE: CHECK_FAILED, "": UNDECIDED})
 _ENV: Final = CampaignConfig.env
 DRAWN: Final = "drawn actions"  # heading of a column
@@ -59,12 +62,14 @@ _SETTINGS = settings(
 
 
 def evaluate(  # noqa: PLR0913 - one argument for each flag
+    policies: Annotated[Path | None, tyro.conf.Positional, flag("POLICIES", None)] = None,
     *,
     given: Annotated[dict[str, Any], _SETTINGS],
-    scenarios: Annotated[int | None, flag("N", f"{SCENARIOS}, or {MOST_SCENARIOS} with --below or --until")] = None,
+    scenarios: Annotated[int | None, flag("N", f"{SCENARIOS}, or {DECIDING} with --below or --until")] = None,
     below: Annotated[float | None, flag("P", None)] = None,
     until: Annotated[float | None, flag("SHARE", None)] = None,
     outcome: Annotated[str, tyro.conf.arg(metavar="NAME")] = Goal.outcome,
+    out: Annotated[Path | None, flag("FOLDER", None)] = None,
     workers: Annotated[int | None, flag("N", "the cores")] = None,
     json_file: JsonFile = None,
     controls: bool = True,
@@ -73,12 +78,16 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     """Drive uniformly sampled scenarios, and report how often the driver arrives, collides and touches illegal lines.
 
     Args:
+        policies: Rank several drivers on a page in --out: a folder of policy files, or a YAML file of drivers by name,
+            each with its settings, such as careful: {ads: careful, env: roundabout-v0}.
         given: The driver, its environment and the seed of the scenarios.
         scenarios: Number of scenarios; with --below or --until, the greatest number.
         below: End when the rate of the outcome is known to be below, or above, this one, such as 0.001. The exit code
             is 0 if it is below, 1 if it is above, and 4 if that is not decided.
         until: End when the rate is known this precisely: half the width of its interval, as a share of the rate.
-        outcome: What --below and --until are about: a row of the table, "at-fault", or "failed".
+        outcome: What --below, --until and a ranking are about: a row of the table, "at-fault", or "failed".
+        out: Folder for the outcomes, a card, and the failures as a run for triage, minimize, report and suite. The same
+            command goes on after an interruption.
         workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver;
             a driver that is not shipped with behavexplor then needs --unconfined.
         json_file: Also write the counts to this JSON file; - is standard output.
@@ -86,30 +95,57 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         quiet: Print only the table.
     """
     output, goal = check_outputs(json_file), _goal(outcome, below, until)
-    count = scenarios if scenarios is not None else MOST_SCENARIOS if goal else SCENARIOS
+    count = scenarios if scenarios is not None else DECIDING if goal else SCENARIOS
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
     ads = given.get("ads", CampaignConfig.ads)
     check_name(ads)
     config = campaign_config({**given, "env": named_env(given.get("env"), ads) or CampaignConfig.env})
-    run = _Run(count, config.seed, chosen_workers(workers), quiet, goal)
+    folder = None if out is None or policies else RateFolder(out, config)
+    run = _Run(count, config.seed, chosen_workers(workers), quiet, goal, folder)
     try:
+        if policies is not None:
+            return _ranked(policies, out, given, outcome, run, output)
         found = _evaluations(config, run, controls=controls)
     except ADSError as error:
         failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
         say(f"{program()}: {sentence(failure)}", file=sys.stderr)
         return EXECUTION_FAILED
-    except RuntimeError as error:
+    except (RuntimeError, ExecutionError) as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
+    _say_rates(config, found, folder, output)
+    write_json(json_file, _values(config, found))
     decision = found[Path(ads).name].decision
+    return _CODES[decision.verdict] if decision is not None else OK
+
+
+def _say_rates(
+    config: CampaignConfig, found: Mapping[str, Evaluation], folder: RateFolder | None, output: TextIO
+) -> None:
+    """Print what was found, and write the card."""
+    own = next(iter(found.values()))
     say(table(config.env, found), file=output)
     if DRAWN in found:
-        say(_gap(found[Path(ads).name], found[DRAWN]), file=output)
-    if decision is not None:
-        say(hanging("", f"{decision.words}, {_CLAUSE.format(config.env)}"), file=output)
-    write_json(json_file, _values(config, found))
-    return _CODES[decision.verdict] if decision is not None else OK
+        say(_gap(own, found[DRAWN]), file=output)
+    if own.decision is not None:
+        say(hanging("", f"{own.decision.words}, {CLAUSE.format(config.env)}"), file=output)
+    if folder is not None:
+        folder.write_card(found)
+        say(f"Card: {folder.path / CARD}.md", file=output)
+        if (folder.run / CONFIG).is_file():
+            say(f"Failures: {program()} report {shlex.quote(str(folder.run))}", file=output)
+
+
+def _ranked(policies: Path, out: Path | None, given: dict[str, Any], outcome: str, run: "_Run", output: TextIO) -> int:
+    """Evaluate several drivers, and write the page that ranks them."""
+    if out is None or "ads" in given or run.goal is not None:
+        raise InputError(f"{policies} names the drivers: give --out FOLDER, and no --ads, --below or --until")
+    shared = {**given, "outcome": outcome, "scenarios": run.scenarios, "workers": run.workers}
+    with Meter(sys.stderr, len(listed(policies)), "drivers", quiet=run.quiet) as meter:
+        page = board(policies, out, observe=meter.show, **shared)
+    say(f"Page: {page}", file=output)
+    return OK
 
 
 def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None:
@@ -118,11 +154,11 @@ def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None
     Raises:
         InputError: if both flags are given, or a value is out of range.
     """
-    if below is None and until is None:
-        return None
     known = (ARRIVED, *(spec.name for spec in SPECS), AT_FAULT, FAILED)
     if outcome not in known:
         raise unknown_name("outcome", outcome, known)
+    if below is None and until is None:
+        return None
     return Goal(outcome, below, until)
 
 
@@ -130,7 +166,7 @@ def _evaluations(config: CampaignConfig, run: "_Run", *, controls: bool) -> dict
     """Return the evaluation of the driver and of what it is compared with, by the headings of their columns."""
     logical, evaluation, draws = _evaluated(config.target, run)
     found = {Path(config.ads).name: evaluation}
-    beside_it = run._replace(scenarios=min(run.scenarios, SCENARIOS), goal=None)
+    beside_it = run._replace(scenarios=min(run.scenarios, SCENARIOS), goal=None, folder=None)
     for name, beside in _beside(config.target, logical, draws=draws, controls=controls).items():
         rates = _rates_beside(name, beside, beside_it)
         found |= {} if rates is None else {name: rates}
@@ -154,6 +190,7 @@ class _Run(NamedTuple):
     workers: int
     quiet: bool
     goal: Goal | None
+    folder: RateFolder | None
 
 
 def _evaluated(target: Target, run: _Run, *, beside: bool = False) -> tuple[LogicalScenario, Evaluation, bool]:
@@ -171,13 +208,13 @@ def _evaluated(target: Target, run: _Run, *, beside: bool = False) -> tuple[Logi
         for warning in warnings if not (beside or target.ads.startswith(_CONSTANT)) else ():
             say(f"Warning: {warning}")
         with Meter(sys.stderr, run.scenarios, "scenarios", quiet=run.quiet) as meter:
-            places = (run.scenarios, run.seed, meter.show)
-            found = (
-                estimate_rates(executor, logical, *places)
-                if run.goal is None
-                else decide_rate(executor, logical, run.goal, *places)
-            )
-        return logical, found, bool(executor.submit(DRAWS, b"").result())
+            file = None if run.folder is None else run.folder.file
+            found = estimate_rates(executor, logical, run.scenarios, run.seed, meter.show, goal=run.goal, file=file)
+        draws = bool(executor.submit(DRAWS, b"").result())
+    if run.folder is not None:
+        with Meter(sys.stderr, min(found.failed, MOST_STORED), "failures driven again", quiet=run.quiet) as meter:
+            run.folder.store_failures(logical, found.n, run.workers, meter.show)
+    return logical, found, draws
 
 
 def _rates_beside(name: str, target: Target, run: _Run) -> Evaluation | None:

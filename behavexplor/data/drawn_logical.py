@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Bools, Floats
-from behavexplor.data.drawn_scenario import DrawnScenario, Setup, sorted_draws
+from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.logical import Mutations, Noise, Part, Parts
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
@@ -109,12 +109,22 @@ class DrawnLogicalScenario:
         """Draw a scenario with the environment's own distribution."""
         return self.scenario(int(rng.integers(SEEDS)), self._fresh(rng))
 
+    def pass_over(self, rng: np.random.Generator) -> None:
+        """Take the random numbers of a scenario, as `sample` does."""
+        rng.integers(SEEDS)
+        self._fresh(rng)
+
     def scenario(self, seed: int, forms: Floats) -> DrawnScenario:
         """Return the scenario with the given standard forms of its draws, shape (n_draws,)."""
-        draws: dict[str, list[float]] = {}
-        for draw, form in zip(self.draws, forms.tolist(), strict=True):
-            draws.setdefault(draw.name, []).append(form)
-        return DrawnScenario(self.setup, seed, sorted_draws(draws))
+        values = forms.tolist()
+        return DrawnScenario(self.setup, seed, tuple((name, tuple(values[own])) for name, own in self._places))
+
+    @cached_property
+    def _places(self) -> tuple[tuple[str, slice], ...]:
+        """Where the draws of each name are, in the order of names."""
+        names = [draw.name for draw in self.draws]
+        first = {name: names.index(name) for name in dict.fromkeys(names)}
+        return tuple((name, slice(at, at + names.count(name))) for name, at in sorted(first.items()))
 
     def forms(self, scenario: DrawnScenario) -> Floats:
         """Return the standard forms of a scenario's draws, shape (n_draws,), at their median where it has none."""

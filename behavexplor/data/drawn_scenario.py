@@ -115,6 +115,8 @@ class DrawnScenario:
         if sum(len(values) for _, values in self.draws) > MAX_DRAWS:
             raise InputError(f"draws: at most {MAX_DRAWS} can be given")
         for name, values in self.draws:
+            if {*map(type, values)} <= {float} and all(map(math.isfinite, values)):
+                continue
             for i, value in enumerate(values):
                 if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                     raise InputError(f"draws[{name!r}][{i}]: expected a finite number, got {brief(value)}")

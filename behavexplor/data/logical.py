@@ -187,6 +187,10 @@ class LogicalScenario(Protocol):
         """Draw a scenario."""
         ...
 
+    def pass_over(self, rng: np.random.Generator) -> None:
+        """Take the random numbers of a scenario, as `sample` does."""
+        ...
+
     def mutate_little(self, scenario: Any, rng: np.random.Generator, noise: Noise) -> Scenario:
         """Return a mutant of a scenario by noise on some of its vehicles.
 

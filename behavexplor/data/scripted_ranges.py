@@ -138,6 +138,10 @@ class ScriptedRanges:
             ]
         return ranges
 
+    def pass_over(self, rng: np.random.Generator) -> None:
+        """Take the random numbers of a scenario, as `sample` does."""
+        self.sample(rng)
+
     def sample(self, rng: np.random.Generator) -> ScriptedScenario:
         """Sample a scenario with every parameter uniform in its range.
 

@@ -48,6 +48,8 @@ class DrivingVectorEnv(LockStepVectorEnv):
         gives_rewards: whether rewards are computed, True at first. If it is set to False, they are 0, and infos hold
             only the ends of episodes. Executions do not need them.
         checks_actions: whether `step` checks the actions, True at first. If it is set to False, the caller has to.
+        short_traces: whether only failures matter, False at first. If it is set to True, `trace` has the last frames,
+            with the same judgment, for an episode that may be without failure, and is None for any other.
 
     Raises:
         InputError: if the config is wrong, or asks for something that only the single environment supports.
@@ -82,6 +84,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
         self._generators: list[np.random.Generator | None] = [None] * num_envs
         self._terms: Floats | None = None
         self.gives_rewards = self.checks_actions = True
+        self.short_traces = False
 
     def _seed(self, b: int, seed: int | None) -> None:
         if seed is not None:
@@ -121,7 +124,8 @@ class DrivingVectorEnv(LockStepVectorEnv):
         if np.count_nonzero(done):
             ends, traces = np.full((2, self.num_envs), None, dtype=object)
             for b in done.nonzero()[0].tolist():
-                ends[b], traces[b] = ENDS[self._episodes.ends[b]], self._episodes.trace(b)
+                ends[b] = ENDS[self._episodes.ends[b]]
+                traces[b] = self._episodes.ending(b) if self.short_traces else self._episodes.trace(b)
             infos |= {"end": ends, "_end": done, "trace": traces, "_trace": done}
         if begun is not None:
             scenarios = np.full(self.num_envs, None, dtype=object)

@@ -97,12 +97,13 @@ class LockStep:
         envs: vector environment with autoreset disabled that takes
             `reset(options={"scenarios": ..., "reset_mask": ...})`.
         ads: driving system, see `behavexplor.ads.interface.ADS`.
+        logs: whether traces have the driving system's decision log.
 
     Attributes:
         free: number of sub-environments without an episode.
     """
 
-    def __init__(self, envs: VectorEnv[Any, Any, Any], ads: Any) -> None:
+    def __init__(self, envs: VectorEnv[Any, Any, Any], ads: Any, *, logs: bool = True) -> None:
         self.free = envs.num_envs
         self._envs = envs
         self._ads = ads
@@ -113,7 +114,7 @@ class LockStep:
         self._begins = False  # True if an episode begins with the next step
         self._observation: Observation | None = None
         self._state: Any = None
-        self._log = DecisionRecorder(ads, envs.num_envs)
+        self._log = DecisionRecorder(ads if logs else None, envs.num_envs)
 
     @property
     def running(self) -> list[Any]:

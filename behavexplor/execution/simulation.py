@@ -156,18 +156,21 @@ class Simulation:
         yield from rollout_all(envs, self.driver(envs.num_envs), scenarios)
         envs.close()
 
-    def lock_step(self, count: int) -> LockStep | None:
+    def lock_step(self, count: int, *, short: bool = False) -> LockStep | None:
         """Return episodes in lock-step; None if the environment has no compiled form.
 
         Args:
             count: number of episodes at a time. It is 1 if the ADS takes one observation at a time.
+            short: whether traces are short, without the ADS's log, and None for failures; see the attribute
+                `short_traces` of the vector environments. The result is None for an environment without it.
         """
-        envs = self.compiled(count)
-        if envs is None:
+        envs: Any = self.compiled(count)
+        if envs is None or (short and not hasattr(envs, "short_traces")):
             return None
+        envs.short_traces = short
         if hasattr(envs, "checks_actions"):
             envs.checks_actions = False  # what an ADS answers is checked when it is asked
-        return LockStep(envs, self.driver(envs.num_envs))
+        return LockStep(envs, self.driver(envs.num_envs), logs=not short)
 
     def driver(self, count: int, ads: Any = None) -> Any:
         """Return what drives a number of episodes in lock-step: the ADS, or another one in its place."""

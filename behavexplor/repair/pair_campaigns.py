@@ -35,6 +35,7 @@ BOTH_FAIL: Final = 1.0  # degree of a scenario in which both drivers fail [m], a
 FIRST, SECOND, PAGE = "first", "second", "comparison.html"  # run folders and page of a comparison
 SETTINGS: Mapping[str, Any] = {"method": "uniform", "batch": 32}  # of both campaigns
 DIFFERENCES = "differences.jsonl"
+_FIRST_LOOK: Final = 250  # scenarios
 Observe = Callable[[int], None]
 
 
@@ -127,14 +128,23 @@ def verdict_at_fault(trace: Trace, is_error: bool, specs: Sequence[Spec]) -> Ver
     return verdict if is_at_fault(collision_fault(trace, verdict.violated)) else replace(verdict, violated=())
 
 
-def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe) -> list[str]:
-    """Run one of the two campaigns, and return warnings about the driver.
+def looks(n: int, margin: float | None) -> Iterator[int]:
+    """Yield the numbers of scenarios after which a comparison looks whether it is decided: all n without a margin."""
+    count = n if margin is None else _FIRST_LOOK
+    while count < n:
+        yield count
+        count *= 2
+    yield n
+
+
+def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe, *, resume: bool = False) -> list[str]:
+    """Run one of the two campaigns, or go on with it, and return warnings about the driver.
 
     Raises:
         InputError: if the driver or the environment cannot be used.
         ExecutionError: if an execution could not be carried out.
     """
-    with opened(config, folder_in(folder.parent, folder.name), workers, resume=False) as ready:
+    with opened(config, folder_in(folder.parent, folder.name), workers, resume=resume) as ready:
         ready.campaign.run(lambda progress: observe(progress.executions))
         ready.campaign.confirm()
         return ready.warnings

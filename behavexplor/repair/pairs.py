@@ -3,14 +3,14 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple, Self
 
 import scipy
 
 from behavexplor.bench.statistics import holm
 from behavexplor.campaign.record import Record
 from behavexplor.errors import InputError
-from behavexplor.judge.rates import PairedSequence
+from behavexplor.judge.rates import NON_INFERIOR, PairedSequence
 from behavexplor.judge.specs import SPECS
 
 CONFIDENCE: Final = 0.95
@@ -61,14 +61,38 @@ class Pairs:
         return second - first, max(middle - half, -1.0), min(middle + half, 1.0)
 
 
-def judged_inferior(pairs: Pairs, margin: float) -> PairedSequence:
-    """Return whether the second driver is no worse than the first one by a margin, from the pairs in their order."""
-    sequence = PairedSequence(margin)
-    fixed, broken = set(pairs.only_first), set(pairs.only_second)
-    for number in range(pairs.n):
-        if sequence.add(old_failed=number in fixed, new_failed=number in broken):  # where both fail, as where none does
-            break
-    return sequence
+class MarginDecision(NamedTuple):
+    """The verdict on the second driver: non-inferior to the first one by a margin, inferior, or undecided.
+
+    Attributes:
+        margin: the margin.
+        found: `NON_INFERIOR`, `INFERIOR`, or "" if it is not decided.
+        after: number of scenarios after which it was decided, or of all.
+    """
+
+    margin: float
+    found: str
+    after: int
+
+    @classmethod
+    def of(cls, pairs: Sequence[Pairs], margin: float) -> Self:
+        """Decide about the failures at fault."""
+        row, sequence = next(row for row in pairs if row.outcome == AT_FAULT), PairedSequence(margin)
+        fixed, broken = set(row.only_first), set(row.only_second)
+        for number in range(row.n):  # where both fail, it is as where none does
+            if sequence.add(old_failed=number in fixed, new_failed=number in broken):
+                break
+        return cls(margin, sequence.verdict, sequence.n)
+
+    @property
+    def words(self) -> str:
+        """The verdict as a sentence."""
+        margin = f"{100 * self.margin:g} % of the scenarios"
+        if not self.found:
+            return f"Not decided in {self.after} scenarios whether B is worse than A in {margin}: give more --scenarios"
+        heads = {NON_INFERIOR: f"Non-inferior: B is worse than A in less than {margin}"}
+        head = heads.get(self.found, f"Inferior: B is worse than A in more than {margin}")
+        return f"{head} (failures at fault; decided after {self.after} scenarios; 95 %, valid at any time)"
 
 
 def paired(first: Iterable[Record], second: Iterable[Record]) -> list[Pairs]:

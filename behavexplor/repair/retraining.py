@@ -29,9 +29,10 @@ from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
-from behavexplor.evaluation import Outcomes, outcomes_of, start_judge, uniform_outcomes
+from behavexplor.evaluation import start_judge, uniform_outcomes
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import logical_of_target
+from behavexplor.judge.outcomes import Outcomes, outcomes_of
 from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, append_round, best, finished_rounds
 from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee
 from behavexplor.training import Learned, TrainingReporter, log_folder, log_formats, restore_model, save_model

@@ -20,10 +20,9 @@ def rendered(template: str, scripts: Sequence[str], **values: object) -> str:
     The scripts run at the end of the page, in their order.
     """
     style, script = source("page.css"), "".join(map(source, scripts))
-    environment = Environment(
-        loader=_Sources(), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    text = environment.get_template(template).render(
+    text = filled(
+        template,
+        escapes=True,
         **values,
         style=style,
         script=script,
@@ -32,6 +31,13 @@ def rendered(template: str, scripts: Sequence[str], **values: object) -> str:
         versions={"behavexplor": behavexplor.__version__, **{name: version(name) for name in _LIBRARIES}},
     )
     return text.encode("ascii", "xmlcharrefreplace").decode("ascii")
+
+
+def filled(template: str, *, escapes: bool, **values: object) -> str:
+    """Return a template of this package with values in it, which are escaped for HTML or not."""
+    kept: dict[str, Any] = {"undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
+    environment = Environment(loader=_Sources(), autoescape=escapes, **kept)  # noqa: S701 - Markdown is not escaped
+    return environment.get_template(template).render(**values)
 
 
 class _Sources(BaseLoader):

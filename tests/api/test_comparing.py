@@ -74,3 +74,19 @@ def test_ctrl_c_ends_a_comparison(tmp_path):
 def test_a_folder_of_something_else_is_refused(tmp_path):
     with pytest.raises(behavexplor.InputError, match="is not a run folder"):
         behavexplor.Comparison(tmp_path)
+
+
+@pytest.mark.filterwarnings("ignore:The driver always")
+def test_a_comparison_with_a_margin_ends_when_it_is_decided(tmp_path):
+    found = behavexplor.compare(
+        "constant:IDLE",
+        "constant:FASTER",
+        "two-way-v0",
+        scenarios=400,
+        margin=0.9,
+        workers=0,
+        out=tmp_path,
+        confirm=False,
+    )
+    assert found.decision(0.9).found == "non-inferior"
+    assert found.pairs[0].n == 250

@@ -20,6 +20,7 @@ from stable_baselines3 import PPO
 import behavexplor.ads.learned
 from behavexplor import open_run
 from behavexplor.ads.sb3.description import describe
+from behavexplor.api.evaluating import listed
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.commands import CHECK_FAILED, OK, UNDECIDED, main
 from behavexplor.data.validation import checked
@@ -107,6 +108,7 @@ YAML = {  # how the YAML of each page is read
     "docs/experiments.md": experiment,
     "docs/policies.md": described,
     "docs/python.md": callback,
+    "docs/rates.md": lambda text: listed(yaml.safe_load(text)),
     "docs/repair.md": lambda text: checked(Case, yaml.safe_load(text), "page"),
     "docs/highway-policies.md": described,
 }

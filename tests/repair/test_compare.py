@@ -10,11 +10,11 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, UNDECIDED, main
 from behavexplor.commands.compare import MarginDecision, searched, values
-from behavexplor.evaluation import outcomes_of
 from behavexplor.judge import specs
+from behavexplor.judge.outcomes import outcomes_of
 from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
 from behavexplor.judge.specs import SPECS, judge
-from behavexplor.repair.pair_campaigns import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
+from behavexplor.repair.pair_campaigns import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, looks, verdict_at_fault
 from behavexplor.repair.pairs import AT_FAULT, Pairs, rows
 from tests.judge.test_fault import BEHIND, trace
 
@@ -166,3 +166,22 @@ def test_the_exit_code_and_the_files_are_the_verdict(tmp_path, capsys):
         assert ("<failure" in (tmp_path / "a.xml").read_text()) == bool(code)
     assert main([*run, CRUISER, CRUISER, "--margin", "1.5"]) == BAD_INPUT
     assert "must lie between 0 and 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("n", "margin", "numbers"), [(9, None, [9]), (9, 0.1, [9]), (1001, 0.1, [250, 500, 1000, 1001])]
+)
+def test_a_comparison_looks_ever_more_rarely_whether_it_is_decided(n, margin, numbers):
+    assert list(looks(n, margin)) == numbers
+
+
+def test_a_comparison_ends_when_its_margin_is_decided(tmp_path, capsys):
+    drivers, folder = ["constant:IDLE", "constant:FASTER"], tmp_path / "out"
+    flags = ["--env", "two-way-v0", "--workers", "0", "--quiet", "--no-confirm", "--out", str(folder)]
+    file = tmp_path / "verdict.json"
+    assert main(["compare", *drivers, *flags, "--margin", "0.9", "--scenarios", "700", "--json", str(file)]) == OK
+    verdict = json.loads(file.read_text())["verdict"]
+    assert verdict["found"] == NON_INFERIOR
+    assert verdict["after"] < 250
+    assert {len(records(folder / name)) for name in ("first", "second")} == {250}
+    assert "Non-inferior" in capsys.readouterr().out

@@ -2,22 +2,25 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from gymnasium import RewardWrapper
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit
-from highway_env.envs import IntersectionEnv
+from highway_env.envs import ExitEnv, IntersectionEnv
 from highway_env.road.road import RoadNetwork
 
 from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.drawn_logical import NORMAL, UNIFORM, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
+from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
 from behavexplor.envs.highway.config_check import STARTS
 from behavexplor.envs.highway.conversion import are_alike
 from behavexplor.envs.highway.drawn_env import DrawnEnv
-from behavexplor.envs.highway.episode_record import EpisodeRecord, Frame
+from behavexplor.envs.highway.episode_record import EpisodeRecord, Frame, leaving_matters, must_move_on
 from behavexplor.envs.highway.generator import DrawnGenerator
 from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
 from behavexplor.envs.source_gate import REWARDS, replaced_in
@@ -48,9 +51,16 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
 
     The episodes of the given environment are used up.
 
+    Attributes:
+        short_traces: whether only failures matter, False at first. If it is set to True, `infos["trace"]` has a trace
+            of a single frame for an episode without failure, and None for any other. Scenarios must then be drawn from
+            `logical`, since they are not checked. That is many times as fast.
+
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.
     """
+
+    short_traces = False
 
     def __init__(self, env: DrawnEnv, num_envs: int, *, rewards: bool = False) -> None:
         check_compiled(env, rewards=rewards)
@@ -66,6 +76,7 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
         self._records: list[Any] = [None] * num_envs
         self._networks: list[RoadNetwork] = [env.inner.road.network] * num_envs
         self._ended = np.ones(num_envs, dtype=bool)
+        self._watch = FailureWatch(env, num_envs)
         self._later = decision_order(env)
         self._order = self._start_order()
         self._networks = [env.inner.road.network] * num_envs  # that of the engine, now that it has copied an episode
@@ -101,11 +112,16 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
         self._ended = self._ended & ~mask
         scenarios: dict[int, DrawnScenario] = {b: options["scenarios"][b] for b in chosen}
         if self._order is None:
-            return [self._begin_by_highway_env(b, scenario) for b, scenario in scenarios.items()][-1]
-        for scenario in scenarios.values():
+            begun = [self._begin_by_highway_env(b, scenario) for b, scenario in scenarios.items()][-1]
+            self._watch.begin(chosen, self._engine)
+            return begun
+        for scenario in scenarios.values() if not self.short_traces else ():
             self.logical.check(scenario)
         draws = {b: forms_of(scenario, (*self._order, *self._later)) for b, scenario in scenarios.items()}
         begun = self._engine.reset(options={"reset_mask": mask, "draws": draws})
+        if self.short_traces:
+            self._watch.begin(chosen, self._engine)
+            return begun
         for b in chosen:
             state = self._engine.state(b)
             self._records[b] = EpisodeRecord(self._env.inner, state.ego_route(self._networks[b]))
@@ -126,16 +142,19 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
     def step(self, actions: Array) -> tuple[Array, Floats, Bools, Bools, dict[str, Any]]:
         """Take an action in every sub-environment. A sub-environment whose episode has ended rests."""
         rest = self._ended
-        for b in np.flatnonzero(~rest).tolist():
+        recorded = [] if self.short_traces else np.flatnonzero(~rest).tolist()
+        for b in recorded:
             self._records[b].decide(actions[b])
         observations, rewards, terminated, truncated, infos = self._engine.step(actions)
         self._ended = terminated | truncated
         ended = self._ended & ~rest
         traces = np.full(self.num_envs, None, dtype=object)
-        for b in np.flatnonzero(~rest).tolist():
+        if self.short_traces:
+            traces[ended & self._watch.passing(self._engine, infos)] = self._watch.passed
+        for b in recorded:
             self._log(b, len(self._engine.frame_log.frames[b]))
-            self._records[b].judge(_has_arrived(infos, b))
-        for b in np.flatnonzero(ended).tolist():
+            self._records[b].judge(None if (arrived := _arrivals(infos)) is None else bool(arrived[b]))
+        for b in np.flatnonzero(ended).tolist() if recorded else ():
             traces[b] = self._records[b].trace(self._networks[b], terminated=bool(terminated[b]))
         return observations, rewards, terminated, truncated, {**infos, "trace": traces, "_trace": ended}
 
@@ -156,6 +175,56 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
     def close_extras(self, **_: Any) -> None:
         """Release the engine."""
         self._engine.close()
+
+
+class FailureWatch:
+    """Whether episodes in lock-step have failed, as their traces would tell; see `episode_record`.
+
+    Args:
+        env: the environment.
+        num_envs: number of sub-environments.
+
+    Attributes:
+        passed: a trace of one frame that stands for every episode without failure.
+    """
+
+    def __init__(self, env: DrawnEnv, num_envs: int) -> None:
+        network = env.inner.road.network
+        numbers = road_numbers(network)
+        self._roads = np.array([numbers[lane[:2]] for lane in lane_indexes(network)])  # of the lanes
+        self._borders, self._must_move_on = leaving_matters(env.inner), must_move_on(env.inner)
+        self._strayed = np.zeros(num_envs, dtype=bool)
+        self._entry = np.zeros((num_envs, 3), dtype=np.int64)  # roads beyond which the ego has to get
+        self._is_beyond = np.zeros(num_envs, dtype=bool)
+        has_end = self._must_move_on or isinstance(env.inner, ExitEnv | IntersectionEnv)
+        told = {CRASHED: 0.0} | ({OFF_ROAD: 0.0} if self._borders else {}) | ({ARRIVED: 1.0} if has_end else {})
+        first = env.logical.first_frame(env.played(), "timeout")
+        self.passed: Trace = replace(first, signals={name: np.array([value]) for name, value in told.items()})
+
+    def begin(self, chosen: Sequence[int], engine: HighwayVectorEnv) -> None:
+        """Begin episodes, which the engine has begun and logged."""
+        frames, things = engine.frame_log.frames[chosen, 0], engine.frame_log.things[chosen, 0]
+        self._strayed[chosen] = ~frames["is_on_road"]
+        self._is_beyond[chosen] = not self._must_move_on
+        if self._must_move_on:
+            lanes = things["lane"][np.arange(len(chosen)), frames["ego"]]
+            self._entry[chosen] = self._roads[lanes][:, None]
+            for b, ego in zip(chosen, frames["ego"].tolist(), strict=True):
+                state = engine.state(b)
+                first, end = state.vehicles[ego][["route_position", "route_length"]].tolist()
+                roads = state.routes["road"][ego, first : max(first, end)][:2]
+                self._entry[b, : len(roads)] = roads
+
+    def passing(self, engine: HighwayVectorEnv, infos: dict[str, Any]) -> Bools:
+        """Return which episodes have not failed if they end after this decision, shape (num_envs,)."""
+        frames, things = engine.frame_log
+        self._strayed |= (~frames["is_on_road"]).any(axis=1)
+        if self._must_move_on:
+            lanes = np.take_along_axis(things["lane"], frames["ego"][..., None], axis=2)
+            self._is_beyond |= (self._roads[lanes] != self._entry[:, None]).all(axis=2).any(axis=1)
+        arrived = _arrivals(infos)
+        failed: Bools = infos["crashed"] | ~(self._is_beyond if arrived is None else arrived)
+        return ~(failed | self._strayed) if self._borders else ~failed
 
 
 def _engine(env: DrawnEnv, num_envs: int, *, rewards: bool) -> HighwayVectorEnv:
@@ -200,12 +269,12 @@ def check_compiled(env: DrawnEnv, *, rewards: bool) -> None:
             raise InputError(f"The compiled engine does not know the draws of {draw.name}")
 
 
-def _has_arrived(infos: dict[str, Any], b: int) -> bool | None:
-    """Return whether the ego of sub-environment b has arrived; see `episode_record`."""
+def _arrivals(infos: dict[str, Any]) -> Bools | None:
+    """Return whether each ego has arrived; None if the environment has no destination; see `episode_record`."""
     if "is_success" in infos:
-        return bool(infos["is_success"][b])
+        return np.asarray(infos["is_success"], dtype=bool)
     arrived = infos.get("rewards", {}).get("arrived_reward")  # in the engine, of an intersection alone
-    return None if arrived is None else bool(arrived[b])
+    return None if arrived is None else np.asarray(arrived, dtype=bool)
 
 
 def start_order(env: DrawnEnv, scenarios: Iterable[DrawnScenario]) -> tuple[DrawPlace, ...] | None:
@@ -229,7 +298,10 @@ def decision_order(env: DrawnEnv) -> tuple[DrawPlace, ...]:
 def forms_of(scenario: DrawnScenario, order: Sequence[DrawPlace]) -> Floats:
     """Return the standard forms of a scenario's draws in their order, shape (n,)."""
     draws: dict[str, Any] = dict(scenario.draws)
-    made = DrawnGenerator(draws, scenario.seed, __file__)
+    try:
+        return np.array([draws[name][position] for name, position, _ in order])
+    except (KeyError, IndexError):  # some of them come from the scenario's seed
+        made = DrawnGenerator(draws, scenario.seed, __file__)
     given = ((draws.get(place.name, ()), place) for place in order)
     return np.array(
         [known[place.position] if place.position < len(known) else made.form(*place) for known, place in given]

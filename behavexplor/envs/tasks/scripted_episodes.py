@@ -11,7 +11,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.data.npc_motion import N_COLUMNS
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.data.trace import ENDS, Trace
+from behavexplor.data.trace import ARRIVED, ENDS, Trace
 from behavexplor.envs.engine.actions import make_commands
 from behavexplor.envs.engine.observing import make_view
 from behavexplor.envs.engine.state import make_scratch
@@ -93,24 +93,34 @@ class ScriptedEpisodes:
         """Return the terms of the rewards of the latest decision; see `behavexplor.envs.tasks.scripted_outcome`."""
         return reward_terms(self._weights, self.slots.runs, active)
 
-    def trace(self, b: int) -> Trace:
-        """Return the trace of the episode that has ended in slot b."""
+    def trace(self, b: int, first: int = 0) -> Trace:
+        """Return the trace of the episode that has ended in slot b, from a frame on."""
         runs, n_vehicles = self.slots.runs, int(self.slots.state.episodes["n_vehicles"][b])
         frames, traits = int(runs["frame"][b]) + 1, self.slots.state.traits[b, :n_vehicles]
         decisions, sizes = np.arange(0, frames - 1, self._substeps), np.empty((n_vehicles, 2))
+        skipped = int(np.searchsorted(decisions, first))
         sizes[:, 0], sizes[:, 1] = traits["length"], traits["width"]
-        motion = np.empty((frames, n_vehicles - 1, N_COLUMNS))
-        self._fill_table(*self._motion_of(b), self._time[:frames], motion)
+        motion = np.empty((frames - first, n_vehicles - 1, N_COLUMNS))
+        self._fill_table(*self._motion_of(b), self._time[first:frames], motion)
         return episode_trace(
             self.logical.roadmap,
-            time=self._time[:frames],
-            ego=self.slots.poses[b, :frames],
+            time=self._time[: frames - first],
+            ego=self.slots.poses[b, first:frames],
             motion=motion,
             sizes=sizes,
-            actions=self.slots.actions[b, : len(decisions)],
-            action_frames=decisions,
+            actions=self.slots.actions[b, skipped : len(decisions)],
+            action_frames=decisions[skipped:] - first,
             end=ENDS[runs["end"][b]],
         )
+
+    def ending(self, b: int) -> Trace | None:
+        """Return the last two frames of the episode in slot b, which tell whether it failed; None if it surely did.
+
+        An ego that arrives is judged at the moment of its arrival, which lies between these frames.
+        """
+        run = self.slots.runs[b]
+        has_touched = 0 <= run["line_frame"] < run["frame"]
+        return None if has_touched or ENDS[run["end"]] != ARRIVED else self.trace(b, max(int(run["frame"]) - 1, 0))
 
     def _observed(self, observation: Any) -> tuple[Any, ...]:
         """Return the arguments of the kernel that observes; none if the engine does not know the observation."""

@@ -1,0 +1,122 @@
+"""The folder of an evaluation: its outcomes, its failures as a run, and a card of what may be said of the driver."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from behavexplor.ads.interface import ADS
+from behavexplor.campaign.config import CONFIG, CampaignConfig
+from behavexplor.campaign.opening import opened
+from behavexplor.campaign.run_summary import summarize
+from behavexplor.campaign.same_driver import identity_of
+from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.errors import InputError
+from behavexplor.evaluation import Evaluation, Observe, failing
+from behavexplor.fuzz.methods import GIVEN
+from behavexplor.judge.outcomes import OutcomeFile
+from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED
+from behavexplor.report.rendering import filled
+from behavexplor.report.run_page import written
+
+OUTCOMES, FAILURES, SCENARIOS, CARD = "outcomes.jsonl", "failures", "failures.jsonl", "card"
+MOST_STORED: Final = 1000  # failures that are driven again and kept with their traces
+CLAUSE: Final = "of the scenarios that {} draws in this configuration, which says nothing about roads"
+_BATCH: Final = 32
+_SUBJECT: Final = ("env", "ads", "seed", "env_config", "traffic", "stochastic", "activation")
+
+
+class RateFolder:
+    """The folder of an evaluation, new or that of the same evaluation, which then goes on.
+
+    Args:
+        path: the folder.
+        config: the driver, its environment and the seed of the scenarios.
+
+    Attributes:
+        path: the folder.
+        file: the outcomes.
+        run: the run folder of the failures, if there are any.
+
+    Raises:
+        InputError: if the folder cannot be used, or belongs to another evaluation.
+    """
+
+    def __init__(self, path: Path, config: CampaignConfig) -> None:
+        try:
+            self.path = folder_in(path)
+        except OSError as error:
+            raise InputError(f"The folder {path} cannot be written: {error.strerror}") from None
+        identity = identity_of(config)
+        self._config = config
+        self._driver = {"digests": dict(identity.digests), "libraries": dict(identity.libraries)}
+        self._subject = {name: getattr(config, name) for name in _SUBJECT}
+        self.file, self.run = OutcomeFile(path / OUTCOMES, {**self._subject, **self._driver}), path / FAILURES
+
+    def store_failures(
+        self,
+        logical: LogicalScenario,
+        n: int,
+        workers: int,
+        observe: Observe = lambda _: None,
+        driver: ADS | None = None,
+    ) -> None:
+        """Drive the first failures again as a run, which has their traces.
+
+        Args:
+            logical: logical scenario of the environment.
+            n: number of evaluated scenarios.
+            workers: see `behavexplor.campaign.opening.opened`, as for the driver and what is raised.
+            observe: function that gets the number of failures that have been driven.
+            driver: the driver, if it is an object of this process.
+        """
+        found = islice(failing(self.file, logical, self._config.seed, n), MOST_STORED)
+        lines = [json.dumps(scenario.to_dict(), separators=(",", ":")) + "\n" for _, scenario in found]
+        goes_on = (self.run / CONFIG).is_file()
+        if not lines or (goes_on and summarize(self.run).executions >= len(lines)):
+            return
+        listed = self.path / SCENARIOS
+        write_durably(listed, "".join(lines))
+        options, budget = {"file": str(listed.resolve())}, str(len(lines))
+        config = replace(self._config, method=GIVEN, options=options, budget=budget, batch=_BATCH)
+        with opened(config, self.run, workers, resume=goes_on, driver=driver) as ready:
+            ready.campaign.run(lambda progress: observe(progress.executions))
+
+    def write_card(self, found: Mapping[str, Evaluation], alpha: float = ALPHA) -> dict[str, Any]:
+        """Write the card as JSON and in Markdown, and return its values.
+
+        Args:
+            found: the evaluation of the driver, and those of what it is compared with, by name.
+            alpha: probability with which an interval may miss its rate.
+
+        Raises:
+            InputError: if it cannot be written.
+        """
+        own, counted = next(iter(found.values())), (self.run / CONFIG).is_file()
+        classes = summarize(self.run).classes if counted else ()
+        card = {
+            "scenarios": own.n,
+            "alpha": alpha,
+            "rates": {outcome: _rate(own, outcome, alpha) for outcome in (*own.counts, FAILED, AT_FAULT)},
+            "decision": own.decision and {**asdict(own.decision), "words": own.decision.words},
+            "beside": {name: {"scenarios": one.n, **one.counts} for name, one in list(found.items())[1:]},
+            "clause": CLAUSE.format(self._config.env),
+            "classes": [{"class": one.id, "words": one.words, "failures": one.count} for one in classes],
+            **self._subject,
+            **self._driver,
+        }
+        stated = {**self._subject, **self._driver["digests"], **self._driver["libraries"]}
+        shown = [name for name in own.counts if ": " not in name]
+        text = filled("card.md.jinja", escapes=False, card=card, stated=stated, shown=shown, most=MOST_STORED)
+        written(self.path / f"{CARD}.json", json.dumps(card, indent=1) + "\n")
+        written(self.path / f"{CARD}.md", text)
+        return card
+
+
+def _rate(found: Evaluation, outcome: str, alpha: float) -> dict[str, float | None]:
+    """Return a rate with its interval, which does not hold if the evaluation ended at a decision."""
+    low, high = found.interval(outcome, alpha) if found.decision is None else (None, None)
+    return {"count": found.count(outcome), "rate": found.rate(outcome), "low": low, "high": high}

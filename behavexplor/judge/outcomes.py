@@ -1,0 +1,135 @@
+"""What happened in the scenarios of an evaluation, and the file to which that is written block by block."""
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from behavexplor.data.durable import check_file
+from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
+from behavexplor.errors import InputError
+from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault
+from behavexplor.judge.specs import SPECS, judge
+
+_SIGNALS: Final = {ARRIVED: ARRIVED, SPECS[1].name: OFF_ROAD, SPECS[2].name: ARRIVED}  # that an outcome needs
+_FIRST_CODE: Final = ord("A")
+
+
+class Outcomes(NamedTuple):
+    """What happened in one scenario.
+
+    Attributes:
+        found: the outcomes, see `Evaluation`.
+        asked: the outcomes, beside the verdicts on a collision, that mean something in the environment.
+        at_fault: whether the driver failed by its own fault; see `behavexplor.campaign.record.Record.at_fault`.
+    """
+
+    found: tuple[str, ...]
+    asked: tuple[str, ...]
+    at_fault: bool
+
+    @property
+    def passed(self) -> bool:
+        """True if the driver did not fail."""
+        return set(self.found) <= {ARRIVED}
+
+
+def outcomes_of(trace: Trace) -> Outcomes:
+    """Judge a trace."""
+    verdict = judge(trace, SPECS)
+    arrived = trace.signals[ARRIVED].any() if ARRIVED in trace.signals else trace.end == ARRIVED
+    arrived = arrived and trace.end != "collision"  # in a roundabout, an ego may get beyond the entry and crash there
+    fault = contact_fault(trace)
+    faults = [f"{SPECS[0].name}: {fault}"] if fault else []
+    found = (*([ARRIVED] if arrived else []), *verdict.violated, *faults)
+    names = (ARRIVED, *(spec.name for spec in SPECS))
+    asked = tuple(name for name in names if not trace.signals or _SIGNALS.get(name, CRASHED) in trace.signals)
+    at_fault = bool(verdict.violated) and is_at_fault(collision_fault(trace, verdict.violated))
+    return Outcomes(found, asked, at_fault)
+
+
+def packed(outcomes: Sequence[Outcomes]) -> dict[str, Any]:
+    """Return the outcomes of scenarios as JSON values: their kinds, and a letter for each scenario."""
+    places = {kind: place for place, kind in enumerate(dict.fromkeys(outcomes))}
+    return {"kinds": [*places], "codes": "".join(chr(_FIRST_CODE + places[one]) for one in outcomes)}
+
+
+def unpacked(values: Mapping[str, Any]) -> list[Outcomes]:
+    """Return the outcomes that `packed` made values of."""
+    kinds = [outcomes_from(*kind) for kind in values["kinds"]]
+    return [kinds[ord(code) - _FIRST_CODE] for code in values["codes"]]
+
+
+def outcomes_from(found: Iterable[str], asked: Iterable[str], at_fault: bool) -> Outcomes:
+    """Return outcomes from the JSON values of `Outcomes`."""
+    return Outcomes(tuple(found), tuple(asked), at_fault)
+
+
+class OutcomeBlock(NamedTuple):
+    """The outcomes of scenarios that follow one another.
+
+    Attributes:
+        outcomes: the outcomes.
+        state: state of the generator that draws the scenarios behind them, as JSON values.
+    """
+
+    outcomes: list[Outcomes]
+    state: Any
+
+
+class OutcomeFile:
+    """The file of an evaluation, which goes on from it after an interruption at any moment.
+
+    The first line says what is evaluated, and each other one is a block. A line that was cut short is removed.
+
+    Args:
+        path: the file; it is created if it does not exist.
+        subject: what is evaluated, as JSON values.
+
+    Raises:
+        InputError: if the file cannot be used, or belongs to another evaluation.
+    """
+
+    def __init__(self, path: Path, subject: Mapping[str, Any]) -> None:
+        self.path = path
+        first = json.dumps(subject, sort_keys=True).encode() + b"\n"
+        try:
+            check_file(path)
+            content = path.read_bytes() if path.exists() else b""
+            whole = content.rfind(b"\n") + 1
+            if whole < len(content):
+                os.truncate(path, whole)
+            if not whole:
+                self._append(first)
+        except OSError as error:
+            raise InputError(f"{path} cannot be used: {error.strerror}") from None
+        if whole and not content.startswith(first):
+            raise InputError(
+                f"{path} belongs to another evaluation: its driver, environment, seed, or a library was another one"
+            )
+
+    def blocks(self) -> Iterator[OutcomeBlock]:
+        """Yield the blocks in the file.
+
+        Raises:
+            InputError: if it is damaged.
+        """
+        with self.path.open(encoding="utf-8") as file:
+            next(file)
+            for number, line in enumerate(file, 2):
+                try:
+                    values = json.loads(line)
+                    yield OutcomeBlock(unpacked(values), values["state"])
+                except (ValueError, LookupError, TypeError):
+                    raise InputError(f"{self.path}, line {number}, is damaged: delete it and those behind it") from None
+
+    def append(self, block: OutcomeBlock) -> None:
+        """Write a block to disk."""
+        self._append(json.dumps({**packed(block.outcomes), "state": block.state}).encode() + b"\n")
+
+    def _append(self, line: bytes) -> None:
+        with self.path.open("ab") as file:
+            file.write(line)
+            file.flush()
+            os.fsync(file.fileno())

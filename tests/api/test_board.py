@@ -1,0 +1,83 @@
+"""Several drivers on one page, and what the Python interface of evaluations writes."""
+
+import json
+
+import pytest
+
+import behavexplor
+from behavexplor.api.evaluating import BOARD, listed
+from behavexplor.api.rate_folder import CARD
+from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
+from behavexplor.errors import InputError
+
+ENTRIES = {
+    "faster": {"ads": "constant:FASTER", "env": "roundabout-v0", "source": "<b>none</b>"},
+    "slower": {"ads": "constant:SLOWER", "env": "roundabout-v0"},
+}
+
+
+@pytest.fixture(scope="module")
+def ranked(tmp_path_factory):
+    folder, done = tmp_path_factory.mktemp("board"), []
+    page = behavexplor.board(ENTRIES, folder, scenarios=40, workers=0, observe=done.append)
+    assert page == folder / BOARD
+    assert done == [1, 2]
+    return folder
+
+
+def test_the_board_ranks_by_rate_and_divides_alpha(ranked):
+    text = (ranked / BOARD).read_text()
+    cards = {name: json.loads((ranked / name / f"{CARD}.json").read_text()) for name in ENTRIES}
+    rates = {name: card["rates"]["collision"]["rate"] for name, card in cards.items()}
+    assert rates["slower"] < rates["faster"]
+    assert text.index('id="slower"') < text.index('id="faster"')
+    assert {card["alpha"] for card in cards.values()} == {0.025}
+    assert "at most 2.5 %" in text
+    assert "&lt;b&gt;none" in text
+    assert "<b>none" not in text
+
+
+def test_a_driver_has_the_same_rates_alone(ranked, tmp_path):
+    found = behavexplor.evaluate("constant:FASTER", "roundabout-v0", scenarios=40, workers=0, out=tmp_path)
+    card = json.loads((ranked / "faster" / f"{CARD}.json").read_text())
+    assert {name: one["count"] for name, one in card["rates"].items() if name in found.counts} == found.counts
+    assert card["rates"]["failed"]["count"] == found.failed > 0
+    assert behavexplor.open_run(tmp_path / "failures").summary.executions == found.failed
+
+
+def test_the_command_makes_the_same_page(ranked, tmp_path, capsys):
+    file = tmp_path / "policies.yaml"
+    file.write_text(json.dumps(ENTRIES))
+    flags = ["--scenarios", "40", "--workers", "0", "--quiet"]
+    assert main(["evaluate", str(file), "--out", str(tmp_path / "out"), *flags]) == OK
+    assert (tmp_path / "out" / BOARD).read_bytes() == (ranked / BOARD).read_bytes()
+    assert main(["evaluate", str(file), *flags]) == BAD_INPUT
+    assert "give --out FOLDER" in capsys.readouterr().err
+    assert main(["evaluate", str(file), "--outcome", "colision", "--out", str(tmp_path / "out"), *flags]) == BAD_INPUT
+    assert "did you mean 'collision'?" in capsys.readouterr().err
+
+
+def test_a_driver_that_fails_ends_the_ranking_with_its_words(tmp_path, capsys):
+    file = tmp_path / "policies.yaml"
+    file.write_text("lost: {ads: 'tests.drivers:Lost', env: lane-follow}\n")
+    flags = ["--scenarios", "3", "--workers", "1", "--quiet", "--out", str(tmp_path / "out")]
+    assert main(["evaluate", str(file), *flags]) == EXECUTION_FAILED
+    assert "In one of the scenarios the ADS failed (invalid)" in capsys.readouterr().err
+
+
+def test_a_folder_of_policies_is_listed_by_names():
+    found = listed("docs/data/policies")
+    assert found["roundabout"] == {"ads": "docs/data/policies/roundabout.zip"}
+    assert "stock-wide" not in found
+
+
+@pytest.mark.parametrize("given", [{}, {"a": {"env": "x"}}, {"../a": {"ads": "idm"}}, {"a": "idm"}])
+def test_what_names_no_drivers_is_refused(given):
+    with pytest.raises(InputError, match=r"has no policy|expected drivers by name"):
+        listed(given)
+
+
+def test_trust_counts_only_if_the_user_gives_it(tmp_path):
+    entry = {"a": {"ads": "idm", "env": "S1", "unconfined": True}}
+    with pytest.raises(InputError, match="counts only on the command line"):
+        behavexplor.board(entry, tmp_path, scenarios=1)

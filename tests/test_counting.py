@@ -1,0 +1,109 @@
+"""The counting of failures without traces: the same outcomes, one by one, as those of the traces."""
+
+import json
+
+import numpy as np
+import pytest
+
+from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV, evaluation
+from behavexplor.data.target import Target
+from behavexplor.evaluation import STREAM, Evaluation, start_judge, uniform_outcomes
+from behavexplor.execution.executor import ADSError
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.outcomes import outcomes_of, packed, unpacked
+from tests.drivers import Cruiser
+
+POLICIES = "docs/data/policies"
+SOME = (
+    ("highway-fast-v0", f"{POLICIES}/highway-fast.zip", False),
+    ("intersection-v0", f"{POLICIES}/intersection.zip", True),
+    ("roundabout-v0", "careful", False),
+    ("exit-v0", "constant:FASTER", False),
+    ("intersection-straight", f"{POLICIES}/intersection-straight.npz", False),
+    ("lane-change", "rule", False),
+)
+ALL = (
+    *((env, "careful", False) for env in HIGHWAY_ENV),
+    *((env, "constant:FASTER", False) for env in HIGHWAY_ENV),
+    *((env, ads, False) for env in FUNCTIONAL_SCENARIOS for ads in ("rule", "idm", f"learned:{env}")),
+    *(
+        (f"{name}-v0", f"{POLICIES}/{name}.zip", drawn)
+        for name in ("highway-fast", "merge", "roundabout")
+        for drawn in (False, True)
+    ),
+    ("intersection-v0", f"{POLICIES}/intersection.zip", False),
+    ("intersection-v0", f"{POLICIES}/intersection.zip", True),
+)
+
+
+def counted(env, ads, drawn, n, workers=0):
+    """The outcomes of scenarios as they are counted."""
+    with start_judge(Target(env, ads, unconfined=True, stochastic=drawn), workers) as judge:
+        assert judge.submit("counts", b"").result()
+        return list(uniform_outcomes(judge, Simulation(env, ads).logical, n, 5))
+
+
+def check_equality(env, ads, drawn, n):
+    simulation, generator = Simulation(env, ads, stochastic=drawn), np.random.default_rng([STREAM, 5])
+    traces = dict(simulation.run_all([simulation.logical.sample(generator) for _ in range(n)], 32))
+    expected = [outcomes_of(traces[number]) for number in range(n)]
+    assert counted(env, ads, drawn, n) == expected
+
+
+@pytest.mark.parametrize(("env", "ads", "drawn"), SOME)
+def test_what_is_counted_is_what_traces_tell(env, ads, drawn):
+    check_equality(env, ads, drawn, 90)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("env", "ads", "drawn"), ALL)
+def test_what_is_counted_is_what_traces_tell_in_every_environment(env, ads, drawn):
+    check_equality(env, ads, drawn, 2000)
+
+
+def test_workers_change_nothing():
+    found = [counted("roundabout-v0", "careful", False, 600, workers) for workers in (0, 1, 2)]
+    assert found[0] == found[1] == found[2]
+
+
+class Forgetful(Cruiser):
+    """Brakes in every episode of a small batch, and in none of a larger one."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        actions, state = super().predict(observation, state)
+        if len(observation) == evaluation._SLOTS:
+            actions[:, 0] = -1.0
+        return actions, state
+
+
+def test_a_failure_that_does_not_recur_ends_the_evaluation():
+    with (
+        start_judge(Target("lane-follow", "tests.test_counting:Forgetful", unconfined=True), 0) as judge,
+        pytest.raises(RuntimeError, match="scenario 0 failed, and did not fail when it was driven again"),
+    ):
+        list(uniform_outcomes(judge, Simulation("lane-follow", "idm").logical, 20, 0))
+
+
+class Fallible(Cruiser):
+    """Fails where another vehicle starts near."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if (np.abs(observation[:, 1, 1] - observation[:, 0, 1]) < 5).any() and observation[0, 0, 0]:
+            raise ValueError("too near")
+        return super().predict(observation, state)
+
+
+def test_a_driver_that_fails_is_told_as_it_would_be_alone():
+    with (
+        start_judge(Target("lane-follow", "tests.test_counting:Fallible", unconfined=True), 0) as judge,
+        pytest.raises(ADSError, match="too near"),
+    ):
+        list(uniform_outcomes(judge, Simulation("lane-follow", "idm").logical, 300, 0))
+
+
+def test_packed_outcomes_are_unpacked():
+    outcomes = counted("roundabout-v0", "constant:FASTER", False, 100)
+    values = json.loads(json.dumps(packed(outcomes)))
+    assert len(values["kinds"]) == len(set(outcomes)) > 1
+    assert unpacked(values) == outcomes
+    assert Evaluation.of_outcomes(outcomes).n == 100
