@@ -1,4 +1,4 @@
-"""Trains the policies of the experiments in stock environments: python docs/stock_policies.py [FOLDER].
+"""Trains the policies of the experiments in stock environments: python docs/stock_policies.py [FOLDER [others]].
 
 Each is trained on the compiled engine, with a seed, in one thread. The zip files of Stable-Baselines3 hold the time of
 the training, so they differ from one training to the next; the weights do not on the same machine.
@@ -12,7 +12,7 @@ from typing import Any
 import highway_env  # noqa: F401 - registers the environments
 import torch
 import yaml
-from stable_baselines3 import DQN, PPO
+from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
@@ -20,6 +20,7 @@ from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 FOLDER = Path(__file__).parent / "data" / "policies"
 N_ENVS = 32
 _PPO = {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "gamma": 0.9, "learning_rate": 1e-3}
+_A2C = {"n_steps": 8, "gamma": 0.9, "learning_rate": 1e-3}
 _DQN = {"learning_rate": 5e-4, "gamma": 0.8, "train_freq": 1, "gradient_steps": 4, "target_update_interval": 50}
 
 
@@ -33,13 +34,15 @@ class Training:
         steps: number of steps.
         config: configuration of the environment.
         settings: settings of the algorithm.
+        seed: seed of the training.
     """
 
     env: str
-    algorithm: type[PPO] | type[DQN]
+    algorithm: type[PPO] | type[DQN] | type[A2C]
     steps: int
     config: dict[str, Any]
     settings: dict[str, Any] = field(default_factory=lambda: _PPO)
+    seed: int = 0
 
 
 TRAININGS = {
@@ -53,13 +56,25 @@ TRAININGS = {
     "roundabout": Training("roundabout-v0", PPO, 60_000, {"duration": 15}),
     "intersection": Training("intersection-v0", PPO, 400_000, {"collision_reward": -15}),
 }
+OTHERS = {  # on which `niching` is compared with uniform draws (docs/niching.py), and was not developed
+    "highway-dqn": Training(
+        "highway-fast-v0", DQN, 60_000, {"lanes_count": 4, "duration": 40, "collision_reward": -3}, _DQN, 11
+    ),
+    "highway-ppo": Training("highway-fast-v0", PPO, 100_000, {"collision_reward": -2}, _PPO, 12),
+    "highway-a2c": Training("highway-fast-v0", A2C, 150_000, {"lanes_count": 4, "collision_reward": -3}, _A2C, 13),
+    "roundabout-dqn": Training("roundabout-v0", DQN, 40_000, {"duration": 15, "collision_reward": -3}, _DQN, 14),
+    "roundabout-ppo": Training("roundabout-v0", PPO, 30_000, {}, _PPO, 15),
+    "intersection-dqn": Training("intersection-v0", DQN, 60_000, {"collision_reward": -10}, _DQN, 16),
+    "merge-ppo": Training("merge-v0", PPO, 60_000, {"collision_reward": -5}, _PPO, 17),
+}
 
 
 def train(training: Training, path: Path) -> None:
     """Train a policy and save it, with a file that says where it was trained."""
     compiled: Any = HighwayVecEnv
-    envs = make_vec_env(training.env, N_ENVS, seed=0, env_kwargs={"config": training.config}, vec_env_cls=compiled)
-    model = training.algorithm("MlpPolicy", envs, seed=0, device="cpu", **training.settings)
+    settings = {"env_kwargs": {"config": training.config}, "vec_env_cls": compiled}
+    envs = make_vec_env(training.env, N_ENVS, seed=training.seed, **settings)
+    model = training.algorithm("MlpPolicy", envs, seed=training.seed, device="cpu", **training.settings)
     model.learn(training.steps)
     envs.close()
     model.save(path)
@@ -70,6 +85,6 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    for name, training in TRAININGS.items():
+    for name, training in (OTHERS if sys.argv[2:] == ["others"] else TRAININGS).items():
         train(training, folder / f"{name}.zip")
         print(f"{name}: {training.algorithm.__name__}, {training.steps} steps in {training.env}")

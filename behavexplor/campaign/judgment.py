@@ -140,7 +140,9 @@ def confirmation(executor: Executor, execution: Execution, original: "Future[byt
     again = executor.submit(EXECUTE, execution.scenario.to_json().encode())
     if difference(recorded, _outcome(again)) is None:
         return Confirmation("disagrees", f"the compiled engine and highway-env disagree: {apart}")
-    return Confirmation("changes", "the driver acts otherwise in the same scenario, by chance or by what it remembers")
+    return Confirmation(
+        "changes", "the driver or the environment goes on otherwise in the same scenario, by chance or by memory"
+    )
 
 
 def _outcome(future: "Future[bytes]") -> Trace | dict[str, str]:

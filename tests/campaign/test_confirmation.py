@@ -147,7 +147,15 @@ def test_a_driver_that_changes_is_not_taken_for_an_error_of_the_engine(tmp_path,
         monkeypatch.setattr(Remembering, "choice", 4)
         ready.campaign.confirm()
     assert [one.state for one in known(tmp_path).values()] == ["changes"]
-    assert "not repeatable: the driver acts otherwise" in known(tmp_path)[0].said_of(0)
+    assert "not repeatable: the driver or the environment goes on otherwise" in known(tmp_path)[0].said_of(0)
+
+
+def test_failures_in_traffic_that_draws_elsewhere_are_said_to_be_not_repeatable(tmp_path):
+    traffic = {"duration": 10, "other_vehicles_type": "tests.envs.highway.strange.Nervous"}
+    config = replace(IDLE, env="highway-fast-v0", ads="constant:FASTER", env_config=traffic, budget="2")
+    _, found = run(tmp_path / "run", config)
+    assert [one.state for one in found.values()] == ["changes", "changes"]
+    assert len(summarize(tmp_path / "run").not_confirmed) == 2
 
 
 class Failing:

@@ -7,7 +7,6 @@ import pytest
 
 from behavexplor.data.target import Target
 from behavexplor.execution.evaluator import evaluator_recipe
-from behavexplor.execution.executor import ADSError
 from behavexplor.execution.preflight import SCENARIOS, preflight_warnings
 from behavexplor.execution.simulation import Simulation
 from tests.drivers import Cruiser, Lost
@@ -136,16 +135,13 @@ def test_a_driver_that_does_not_repeat_its_drives_is_named(driver):
     assert warning.startswith("The driver does not drive the same scenario in the same way")
 
 
-def test_traffic_that_draws_elsewhere_is_named_and_its_failures_are_not_the_drivers():
+def test_traffic_that_draws_elsewhere_is_named():
     config = {"duration": 10, "other_vehicles_type": "tests.envs.highway.strange.Nervous"}
     target = Target("highway-fast-v0", "constant:FASTER", env_config=config)  # which always crashes
     evaluator = evaluator_recipe(target).make()
     evaluator.begin()
     said = json.loads(evaluator.preflight(b""))
     assert any(warning.startswith("The environment goes on in another way") for warning in said)
-    scenario = evaluator.simulation.logical.sample(np.random.default_rng(3)).to_json().encode()
-    with pytest.raises(ADSError, match="the scenario does not repeat in highway-env"):
-        evaluator.execute(scenario)
 
 
 def test_a_meta_action_is_named_and_so_is_that_the_policy_could_draw():
