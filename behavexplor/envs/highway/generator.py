@@ -160,9 +160,13 @@ class DrawnGenerator(np.random.Generator):
         return np.array(forms)
 
     def form(self, name: str, position: int, kind: str) -> float:
-        """Return the standard form of a draw of an episode without a generator as its source."""
+        """Return the standard form of a draw of an episode without a generator as its source.
+
+        Where an environment makes one kind of draw or the other at the same place, depending on earlier draws, a given
+        normal number is no position in a range, and the draw is made as if it were not given.
+        """
         given = self._played.get(name, ())
-        if position < len(given):
+        if position < len(given) and (kind == NORMAL or 0.0 <= given[position] < 1.0):
             return given[position]
         words = [int(self._source), zlib.crc32(name.encode()), position]  # type: ignore[arg-type]
         own = np.random.default_rng(words)

@@ -125,3 +125,16 @@ def test_a_share_of_a_choice_selects_it():
 def test_other_draws_are_refused_by_name(draw):
     with pytest.raises(InputError, match=r"draws by .* of numpy.random.Generator, which cannot be recorded"):
         draw(DrawnGenerator({}, 0, "nowhere.py"))
+
+
+def test_a_given_normal_number_is_no_position_in_a_range():
+    """Where an environment's earlier draws decide which kind it makes next."""
+    played = {"draw": [-1.5, 2.5, 0.75]}
+
+    def draw(rng):
+        return rng.integers(4), rng.random(), rng.integers(4)
+
+    first, second, third = draw(DrawnGenerator(played, 7, __file__))
+    made = draw(DrawnGenerator({}, 7, __file__))
+    assert (first, second) == made[:2]
+    assert third == 3
