@@ -129,12 +129,11 @@ def test_other_draws_are_refused_by_name(draw):
 
 def test_a_given_normal_number_is_no_position_in_a_range():
     """Where an environment's earlier draws decide which kind it makes next."""
-    played = {"draw": [-1.5, 2.5, 0.75]}
 
-    def draw(rng):
+    def three(rng):
         return rng.integers(4), rng.random(), rng.integers(4)
 
-    first, second, third = draw(DrawnGenerator(played, 7, __file__))
-    made = draw(DrawnGenerator({}, 7, __file__))
-    assert (first, second) == made[:2]
-    assert third == 3
+    plain = DrawnGenerator({}, 7, "nowhere.py")
+    made = three(plain)
+    given = {next(iter(plain.drawn)): [-1.5, 2.5, 0.75]}
+    assert three(DrawnGenerator(given, 7, "nowhere.py")) == (*made[:2], 3)
