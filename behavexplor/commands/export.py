@@ -67,7 +67,7 @@ def export(
         raise InputError("--npcs routes cannot be given with --format openscenario-1.0, which has no speed profiles")
     store = Store.read(run)
     try:
-        chosen = numbers or tuple(record.id for record in store.records() if record.failed)
+        chosen = tuple(dict.fromkeys(numbers)) or tuple(record.id for record in store.records() if record.failed)
         config = stored_config(run).says if format == "csv" else _accepted(run, trust)
         if ego == "free" and is_highway(config.env):
             raise InputError(

@@ -98,10 +98,11 @@ def _leave_pipes() -> None:
 
     They are those of the processes that begin workers, which end if a driver writes into them.
     """
-    if fcntl is None:
+    files = Path("/dev/fd")
+    if not files.is_dir():  # on Windows
         return
     with Path(os.devnull).open("wb") as nowhere:
-        for number in [int(entry.name) for entry in Path("/dev/fd").iterdir()]:
+        for number in [int(entry.name) for entry in files.iterdir()]:
             if number > _STDERR and _leads_away(number):
                 os.dup2(nowhere.fileno(), number)
 

@@ -91,6 +91,8 @@ def test_what_carla_cannot_play_is_refused(tmp_path, capsys):
     run = fuzz(tmp_path / "run", "intersection-v0", "constant:FASTER", 3)
     assert main(["export", str(run), "--out", str(tmp_path / "out"), "--format", "openscenario-1.0"]) == 2
     assert "a vehicle appears or leaves, which CARLA's ScenarioRunner cannot play" in capsys.readouterr().err
+    assert main(["export", str(run), "0", "0", "--out", str(tmp_path / "twice")]) == 0
+    assert "1 execution written" in capsys.readouterr().out
     flags = ["--format", "openscenario-1.0", "--npcs", "routes"]
     assert main(["export", str(run), "--out", str(tmp_path / "out"), *flags]) == 2
     assert "has no speed profiles" in capsys.readouterr().err
