@@ -99,6 +99,14 @@ class Settable(Cruiser):
 cruiser = Cruiser()
 
 
+class Unreadable:
+    """A driver whose method cannot be looked at."""
+
+    @property
+    def predict(self):
+        raise RuntimeError("no predict")
+
+
 def make_cruiser(roadmap):
     """Made from the road map, as planners are."""
     assert roadmap.speed_limit > 10

@@ -5,9 +5,11 @@ import os
 import random
 import signal
 import socket
+import stat
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +55,7 @@ FAULTS = (
     Fault("recurses without end", "Recursing", "raised", "RecursionError"),
     Fault("closes all open files, those of behavexplor included", "ClosingAll", "crash", "it closed the files"),
     Fault("closes all its files and hangs", "Vanishing", "hang", "no answer within"),
+    Fault("writes into all its pipes and sockets", "Flooding", "crash", "sent what is no answer"),
     Fault("writes to a file", "Writing", "raised", "PermissionError"),
     Fault("opens a connection", "Connecting", "raised", "PermissionError"),
     Fault("sends a signal to the process that began it", "Signalling", "raised", "PermissionError"),
@@ -161,6 +164,16 @@ class Recursing(Faulty):
 class ClosingAll(Faulty):
     def fail(self, answer, observation):
         os.closerange(3, 1000)
+
+
+class Flooding(Faulty):
+    def fail(self, answer, observation):
+        for number in range(3, 100):
+            with suppress(OSError):
+                mode = os.fstat(number).st_mode
+                if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode):
+                    os.set_blocking(number, False)
+                    os.write(number, b"\x00\x00\x00\x05hello" * 3)
 
 
 class Vanishing(Faulty):

@@ -18,7 +18,7 @@ from behavexplor.data.array_types import Array, Bools
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.target import Activation
-from behavexplor.errors import InputError, missing_library, unknown_name
+from behavexplor.errors import InputError, described, missing_library, unknown_name
 
 SYSTEMS = MappingProxyType(
     {
@@ -150,10 +150,10 @@ def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection
 
 def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
     """Return the object of a name if it is an ADS, or else the ADS that it makes."""
-    if not (isinstance(found, type) or callable(found) or hasattr(found, "predict")):
-        raise InputError(f"{name!r} is not an ADS: it has no predict method and cannot make an object that has one")
     ads = as_driver(found)
     if ads is None:
+        if not callable(found):
+            raise InputError(f"{name!r} is not an ADS: it has no predict method and cannot make an object that has one")
         made = _call(name, found, roadmap)
         ads = None if isinstance(made, type) else as_driver(made)
         if ads is None:
@@ -165,7 +165,11 @@ def as_driver(found: Any) -> ADS | None:
     """Return an object that predicts as it is, a function of one observation as a driver, and None for others."""
     if isinstance(found, type):
         return None
-    if callable(getattr(found, "predict", None)):
+    try:
+        predicts = callable(getattr(found, "predict", None))
+    except Exception as error:  # a property can raise anything
+        raise InputError(f"The predict method of the driver cannot be looked at: {described(error)}") from error
+    if predicts:
         driver: ADS = found
         return driver
     if callable(found) and takes_one_observation(found):

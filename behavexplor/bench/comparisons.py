@@ -1,6 +1,5 @@
 """The comparisons of an experiment's methods: their tables, and curves of what they find over the executions."""
 
-import csv
 import io
 import math
 from collections.abc import Sequence
@@ -25,6 +24,7 @@ from behavexplor.bench.table import (
     total,
     unique,
 )
+from behavexplor.data.csv_text import csv_text
 
 Sample = tuple[str, str, str, str, list[float], list[float]]
 
@@ -221,16 +221,12 @@ def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
 
 def curves_csv(found: Sequence[Curve]) -> str:
     """Return the curves as CSV, with a row for each point."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    rows: list[tuple[object, ...]] = [_COLUMNS]
     for curve in found:
         for count, point in zip(curve.executions, curve.found, strict=True):
             ends = ("" if math.isnan(end) else round(end, 6) for end in (point.low, point.high))
-            writer.writerow(
-                (curve.figure, curve.env, curve.ads, curve.method, count, point.n, round(point.mean, 6), *ends)
-            )
-    return text.getvalue()
+            rows.append((curve.figure, curve.env, curve.ads, curve.method, count, point.n, round(point.mean, 6), *ends))
+    return csv_text(rows)
 
 
 def curves_svg(found: Sequence[Curve]) -> str | None:

@@ -1,7 +1,5 @@
 """Summaries of campaigns in figures, computed from their run folders alone."""
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
@@ -16,6 +14,7 @@ from behavexplor.bench.experiment import PlannedRun
 from behavexplor.campaign.progress import executing_and_analysing
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
+from behavexplor.data.csv_text import csv_text
 from behavexplor.data.scripted_logical import ROUTES, WAYPOINTS
 from behavexplor.data.trace import ENVIRONMENT
 from behavexplor.judge.discovery import Discovery
@@ -243,11 +242,7 @@ def summary_rows(summaries: Sequence[Summary]) -> list[dict[str, object]]:
 def summaries_csv(summaries: Sequence[Summary]) -> str:
     """Return the rows of all campaigns as CSV."""
     rows = summary_rows(summaries)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else ["env"], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_text([rows[0] if rows else ["env"], *(row.values() for row in rows)])
 
 
 def _row(summary: Summary, labels: Sequence[str], *, unique: bool, signed: bool) -> dict[str, object]:

@@ -1,7 +1,5 @@
 """A table of an experiment as values, and what the makers of tables share."""
 
-import csv
-import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +7,7 @@ from dataclasses import dataclass, replace
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import Estimate, estimate
 from behavexplor.bench.summaries import Summary
+from behavexplor.data.csv_text import csv_text
 
 Value = str | int | float | Estimate | None
 Figure = Callable[[Summary], float]
@@ -150,15 +149,7 @@ def table_csv(table: Table) -> str:
     head = []
     for column, is_estimate in zip(table.columns, estimates, strict=True):
         head += [f"{column.name} {part}" for part in ("mean", "low", "high", "n")] if is_estimate else [column.name]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    for row in table.rows:
-        cells: list[object] = []
-        for value in row:
-            cells += _plain(value)
-        writer.writerow(cells)
-    return text.getvalue()
+    return csv_text([head, *([cell for value in row for cell in _plain(value)] for row in table.rows)])
 
 
 def _plain(value: Value) -> list[object]:

@@ -220,9 +220,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """
     try:
         values = parse_yaml(read_file(path, MAX_FILE_SIZE, pipes=True).decode())
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except ValueError as error:
         raise InputError(f"{path} is not a YAML file: {error!s:.300}") from None
     if values is None:
         return {}

@@ -38,7 +38,7 @@ def export(
     ] = (),
     *,
     out: NewFolder,
-    format: Literal["openscenario", "csv"] = "openscenario",  # noqa: A002 - the flag's name
+    format: Literal["openscenario", "openscenario-1.0", "csv"] = "openscenario",  # noqa: A002 - the flag's name
     ego: Literal["recorded", "free"] = "recorded",
     npcs: Annotated[Literal["trajectories", "routes"], tyro.conf.arg(help_behavior_hint="(default: trajectories)")] = (
         "trajectories"
@@ -47,7 +47,7 @@ def export(
 ) -> int:
     """Write executions of a run as files that other tools can play (docs/exchange.md).
 
-    The formats are OpenSCENARIO XML with the road as OpenDRIVE, and CSV tables.
+    The formats are OpenSCENARIO XML 1.2, or 1.0 for CARLA's ScenarioRunner, with the road as OpenDRIVE, and CSV tables.
 
     Args:
         run: The run folder.
@@ -58,26 +58,30 @@ def export(
         npcs: Scripted vehicles as trajectories, or as routes with speed profiles.
         trust: Allow the folder with this digest ("sha256:...") to execute code: that of its environment.
     """
-    if format == "openscenario":
+    if format != "csv":
         check_libraries()
     elif (ego, npcs) != ("recorded", "trajectories"):
         raise InputError("--ego and --npcs cannot be given with --format csv: a table has what was recorded")
+    is_for_carla = format == "openscenario-1.0"
+    if is_for_carla and npcs == "routes":
+        raise InputError("--npcs routes cannot be given with --format openscenario-1.0, which has no speed profiles")
     store = Store.read(run)
     try:
-        chosen = numbers or tuple(record.id for record in store.records() if record.failed)
+        chosen = tuple(dict.fromkeys(numbers)) or tuple(record.id for record in store.records() if record.failed)
         config = stored_config(run).says if format == "csv" else _accepted(run, trust)
         if ego == "free" and is_highway(config.env):
             raise InputError(
                 f"The vehicles of {config.env} react to the ego, and a scene has only what they did with the recorded "
                 "one: --ego free is for the environments with scripted vehicles"
             )
-        write = _Scenes(run, config, folder_in(out), is_ego_free=ego == "free", as_routes=npcs == "routes").write
+        folder, is_free, as_routes = folder_in(out), ego == "free", npcs == "routes"
+        scenes = _Scenes(run, config, folder, is_ego_free=is_free, as_routes=as_routes, is_for_carla=is_for_carla)
         for number in chosen:
             execution = store.execution(number)
             if format == "csv":
                 write_table(execution.scenario, execution.load_trace(), out / f"{number:06d}.csv")
             else:
-                write(execution)
+                scenes.write(execution)
     except OSError as error:
         raise InputError(f"The folder {out} cannot be written: {error.strerror}") from None
     finally:
@@ -127,17 +131,27 @@ def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) 
 class _Scenes:
     """The folder of exported scenes. Executions on the same road share its file."""
 
-    def __init__(self, run: Path, config: CampaignConfig, out: Path, *, is_ego_free: bool, as_routes: bool) -> None:
+    def __init__(
+        self,
+        run: Path,
+        config: CampaignConfig,
+        out: Path,
+        *,
+        is_ego_free: bool,
+        as_routes: bool,
+        is_for_carla: bool = False,
+    ) -> None:
         self._config = config
         self._date = datetime.fromtimestamp(int((run / CONFIG).stat().st_mtime), UTC)
         self._out = out
         self._is_ego_free = is_ego_free
         self._as_routes = as_routes
+        self._is_for_carla = is_for_carla
         self._roads: dict[RoadPlan, str] = {}
 
     def write(self, execution: Execution) -> None:
         """Write an execution."""
-        from behavexplor.exchange.openscenario import write_scene  # noqa: PLC0415 - needs the extra `scenes`
+        from behavexplor.exchange.openscenario import CARLA, STANDARD, write_scene  # noqa: PLC0415 - needs the extra `scenes`
 
         scenario, trace = execution.scenario, execution.load_trace()
         plan, logical = road_of(scenario, self._config.env, self._config.env_config or {})
@@ -156,7 +170,13 @@ class _Scenes:
             time_limit=EPISODE_TIME if goes_on else trace.duration,
             scenario=None if follows_script else scenario,
         )
-        write_scene(scene, self._out / f"{execution.id:06d}.xosc", self._date, as_routes=self._as_routes)
+        if self._is_for_carla and any(mover.is_gone or mover.time[0] > 0 for mover in scene.movers):
+            raise InputError(
+                f"In execution {execution.id}, a vehicle appears or leaves, which CARLA's ScenarioRunner cannot play: "
+                "give the numbers of other executions"
+            )
+        path, dialect = self._out / f"{execution.id:06d}.xosc", CARLA if self._is_for_carla else STANDARD
+        write_scene(scene, path, self._date, as_routes=self._as_routes, dialect=dialect)
 
     def _road_file(self, plan: RoadPlan, number: int) -> str:
         """Return the name of the file of a road, which is written if it is new."""

@@ -14,7 +14,7 @@ from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.wording import counted, say
 from behavexplor.errors import InputError, sentence
 from behavexplor.triage.findings import Minimized
-from behavexplor.triage.minimization import RunMinimization
+from behavexplor.triage.minimization import LIMIT, RunMinimization
 
 _NUMBERS = ("vehicles", "free values", "executions")
 
@@ -43,6 +43,9 @@ def minimize(
     if every and numbers:
         raise InputError("Give either numbers of executions or --all")
     work = RunMinimization(run, running.accepted(run), running.count, numbers, every=every, afresh=afresh)
+    if work.waiting and not running.quiet:
+        many = counted(len(work.waiting), "failure")
+        say(f"{many} to minimize, each in at most {LIMIT} executions of simpler scenarios", file=sys.stderr)
     try:
         with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
             found = work.minimize(meter.show)

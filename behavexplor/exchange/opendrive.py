@@ -31,6 +31,7 @@ _SAME: Final = 1e-6  # greatest deviation of parallel lanes from parallels [m] [
 _MEETING: Final = 0.01  # greatest gap between lanes that are linked [m]
 _MEETING_ANGLE: Final = 0.02  # greatest bend between them [rad]
 _CUT: Final = 10.0  # length of the road that is cut off from a connecting road [m]
+_SHORTER: Final = 1e-9  # how much the length of a cubic is rounded down [m]
 _SHARES: Final = np.linspace(0.0, 1.0, 5)
 REVISION: Final = "7"  # minor revision of OpenDRIVE 1
 _FIRST_JUNCTION: Final = 1000  # id of the first junction; ids of roads are smaller where there are fewer roads
@@ -271,11 +272,21 @@ def _plan_view(lane: Lane) -> Any:
     ours = mirrored_lane(lane)
     if isinstance(ours, SineLane):
         for piece in sine_pieces(ours):
-            view.add_fixed_geometry(xodr.ParamPoly3(*piece.u.tolist(), *piece.v.tolist()), *piece.pose.tolist())
+            view.add_fixed_geometry(_Cubic(*piece.u.tolist(), *piece.v.tolist()), *piece.pose.tolist())
         return view
     shape = xodr.Arc(ours.curvature, length=ours.length) if ours.curvature else xodr.Line(ours.length)
     view.add_fixed_geometry(shape, ours.x, ours.y, ours.heading)
     return view
+
+
+class _Cubic(xodr.ParamPoly3):  # type: ignore[misc]  # the library has no types
+    """A parametric cubic whose length is never longer than its arc, where readers would find no point."""
+
+    def get_end_data(self, x: float, y: float, h: float) -> tuple[float, float, float, float]:
+        """Return the end of a cubic that starts at a pose: x [m], y [m], heading [rad], and its length [m]."""
+        *end, length = super().get_end_data(x, y, h)
+        self.length = length - _SHORTER
+        return (*end, self.length)
 
 
 def _lanes(layout: RoadLayout, i: int) -> Any:

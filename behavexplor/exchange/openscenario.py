@@ -1,13 +1,15 @@
-"""Scenes as OpenSCENARIO XML 1.2, written by the library scenariogeneration.
+"""Scenes as OpenSCENARIO XML 1.2, or 1.0 for CARLA's ScenarioRunner, written by the library scenariogeneration.
 
 Every vehicle has a bounding box, and there are no catalogs. The motion of a vehicle is a trajectory with times.
-Properties, whose names begin with "behavexplor:", hold what OpenSCENARIO has no element for.
+In 1.2, properties, whose names begin with "behavexplor:", hold what OpenSCENARIO has no element for.
 """
 
 import json
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scenariogeneration import xosc
@@ -19,7 +21,6 @@ from behavexplor.data.durable import write_durably
 from behavexplor.exchange import axes
 from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest
 
-REVISION: Final = 2  # minor revision of OpenSCENARIO XML 1
 AUTHOR: Final = "behavexplor"
 TIME_LIMIT: Final = "TimeLimit"  # parameter: time at which the storyboard stops [s]
 ARRIVAL: Final = "ArrivalDistance"  # parameter: distance from the destination at which the ego has arrived [m]
@@ -27,30 +28,60 @@ _HEIGHT: Final = {"school-bus": 3.1}  # heights are not simulated [m]
 _CAR_HEIGHT: Final = 1.5  # [m]
 _WHEEL: Final = 0.65  # diameter [m]
 _TRACK: Final = 0.8  # track, as a share of the width
+_SETTLING: Final = 1.0  # time after which a standing vehicle has a second point [s]
 _STEERING: Final = 0.6  # greatest angle [rad]
 _MAX_SPEED, _MAX_ACCELERATION, _MAX_DECELERATION = 60.0, 10.0, 10.0  # [m/s] [m/s2]
+_BLUEPRINTS: Final[Mapping[str, str]] = MappingProxyType(  # CARLA's vehicles for the types of scripted ones
+    {
+        "sedan": "vehicle.tesla.model3",
+        "suv": "vehicle.audi.etron",
+        "jeep": "vehicle.jeep.wrangler_rubicon",
+        "hatchback": "vehicle.nissan.micra",
+        "school-bus": "vehicle.mitsubishi.fusorosa",
+    }
+)
+_BLUEPRINT: Final = "vehicle.lincoln.mkz_2017"  # for all others: the ego has the size of a Lincoln MKZ
 
 
-def write_scene(scene: SceneFile, path: Path, date: datetime, *, as_routes: bool = False) -> None:
-    """Write a scene as an OpenSCENARIO file; scripted vehicles get trajectories, or routes with speed profiles."""
-    init, act = xosc.Init(), xosc.Act("motion", _at(0.0))
-    entities = xosc.Entities()
+class Dialect(NamedTuple):
+    """What distinguishes the files for some players from those for others."""
+
+    revision: int  # minor revision of OpenSCENARIO XML 1
+    axle: float  # distance of a vehicle's reference point behind its center, as a share of its length
+    since: Any  # rule for times
+    within: Any  # rule for distances
+
+
+STANDARD: Final = Dialect(2, axes.REAR_AXLE, xosc.Rule.greaterOrEqual, xosc.Rule.lessOrEqual)
+CARLA: Final = Dialect(0, 0.0, xosc.Rule.greaterThan, xosc.Rule.lessThan)  # ScenarioRunner moves centers of vehicles
+
+
+def write_scene(
+    scene: SceneFile, path: Path, date: datetime, *, as_routes: bool = False, dialect: Dialect = STANDARD
+) -> None:
+    """Write a scene as an OpenSCENARIO file; scripted vehicles get trajectories, or routes with speed profiles.
+
+    In a scene for CARLA, no vehicle may appear or leave, and there are no routes.
+    """
+    stop = _stop(scene, dialect)
+    init, entities = xosc.Init(), xosc.Entities()
+    act = xosc.Act("motion", _at(0.0, dialect), stop if dialect is CARLA else None)  # ScenarioRunner stops acts only
     for mover in scene.movers:
-        rows = _rows(mover)
+        rows = _rows(mover, dialect)
         if as_routes and mover.script is not None:
             profile = axes.speed_profile(mover.script)
             rows, actions = rows[:1], _drive(mover, profile)
             digest = motion_digest(_first_speed(mover), rows, mover.route, profile)
         else:
             actions, digest = _follow(mover, rows), motion_digest(_first_speed(mover), rows)
-        entities.add_scenario_object(mover.name, _vehicle(mover, digest))
+        entities.add_scenario_object(mover.name, _vehicle(mover, digest, dialect))
         _begin(init, mover, rows[0])
-        group = _group(mover, rows[0], actions)
+        if scene.is_ego_free and mover.name == EGO:
+            actions = _reach(init, scene.destination, dialect)
+        group = _group(mover, rows[0], actions, dialect)
         if group is not None:
             act.add_maneuver_group(group)
-    if scene.is_ego_free:
-        init.add_init_action(EGO, xosc.AcquirePositionAction(_point(scene.destination)))
-    storyboard = xosc.StoryBoard(init, _stop(scene))
+    storyboard = xosc.StoryBoard(init, stop)
     if act.maneuvergroup:
         storyboard.add_act(act)
     made = xosc.Scenario(
@@ -61,9 +92,9 @@ def write_scene(scene: SceneFile, path: Path, date: datetime, *, as_routes: bool
         storyboard,
         xosc.RoadNetwork(scene.road_file),
         xosc.Catalog(),
-        osc_minor_version=REVISION,
+        osc_minor_version=dialect.revision,
         creation_date=date,
-        header_properties=_properties(_facts(scene)),
+        header_properties=_properties(_facts(scene)) if dialect is STANDARD else None,
     )
     write_durably(path, prettify(made.get_element(), encoding="utf-8"))
 
@@ -92,22 +123,25 @@ def _parameters(scene: SceneFile) -> Any:
     return declared
 
 
-def _vehicle(mover: Mover, digest: str) -> Any:
-    """Return a vehicle whose reference point is the middle of its rear axle."""
+def _vehicle(mover: Mover, digest: str, dialect: Dialect) -> Any:
+    """Return a vehicle whose reference point is the middle of its rear axle, or its center for CARLA."""
     length, width = mover.size
     height = _HEIGHT.get(mover.type, _CAR_HEIGHT)
-    ahead, track = _rounded(axes.REAR_AXLE * length), _rounded(_TRACK * width)
+    base, track = _rounded(2 * axes.REAR_AXLE * length), _rounded(_TRACK * width)
     category = xosc.VehicleCategory.bus if mover.type.endswith("bus") else xosc.VehicleCategory.car
     made = xosc.Vehicle(
-        mover.type,
+        mover.type if dialect is STANDARD else _BLUEPRINTS.get(mover.type, _BLUEPRINT),
         category,
-        xosc.BoundingBox(width, length, height, ahead, 0.0, height / 2),
-        xosc.Axle(_STEERING, _WHEEL, track, 2 * ahead, _WHEEL / 2),
+        xosc.BoundingBox(width, length, height, _rounded(dialect.axle * length), 0.0, height / 2),
+        xosc.Axle(_STEERING, _WHEEL, track, base, _WHEEL / 2),
         xosc.Axle(0.0, _WHEEL, track, 0.0, _WHEEL / 2),
         _MAX_SPEED,
         _MAX_ACCELERATION,
         _MAX_DECELERATION,
     )
+    if dialect is CARLA:
+        made.add_property("type", "ego_vehicle" if mover.name == EGO else "simulation")
+        return made
     if mover.script is not None:
         made.add_property(axes.ROUTE, mover.script.route)
         made.add_property(axes.WAYPOINTS, axes.waypoint_text(mover.script))
@@ -115,17 +149,20 @@ def _vehicle(mover: Mover, digest: str) -> Any:
     return made
 
 
-def _rows(mover: Mover) -> Floats:
+def _rows(mover: Mover, dialect: Dialect) -> Floats:
     """Return time, x, y and heading of a vehicle's reference point as they are written, shape (T, 4).
 
-    The points between two equal ones, at which the vehicle stands, are left out.
+    Of the points at which the vehicle stands, the first, the one a second later and the last are written: players that
+    smooth a trajectory would let it creep from the first to the last.
     """
-    pose = axes.mirrored(axes.shifted(mover.pose, -axes.REAR_AXLE * mover.size[0]))
+    pose = axes.mirrored(axes.shifted(mover.pose, -dialect.axle * mover.size[0]))
     pose[:, 2] = (pose[:, 2] + np.pi) % (2 * np.pi) - np.pi
-    same = (np.diff(mover.pose, axis=0) == 0).all(1)
-    standing = np.concatenate([[False], same[:-1] & same[1:], [False]]) if len(same) else np.zeros(1, dtype=bool)
+    stands = np.concatenate([[False], (np.diff(mover.pose, axis=0) == 0).all(1), [False]])  # since the point before
+    since = np.maximum.accumulate(np.where(stands[:-1], -np.inf, mover.time))
+    settled = mover.time - since >= _SETTLING
+    inner = stands[:-1] & stands[1:] & ~(settled & ~np.concatenate([[False], settled[:-1]]))
     rows = np.round(np.column_stack([mover.time, pose]), axes.DIGITS) + 0.0  # no negative zeros
-    return np.asarray(rows[~standing])
+    return np.asarray(rows[~inner])
 
 
 def _first_speed(mover: Mover) -> float:
@@ -152,6 +189,18 @@ def _follow(mover: Mover, rows: Floats) -> list[tuple[str, Any]]:
     return [(f"{mover.name} drives", xosc.FollowTrajectoryAction(trajectory, mode, absolute, 1, 0))]
 
 
+def _reach(init: Any, destination: Floats, dialect: Dialect) -> list[tuple[str, Any]]:
+    """Let a free ego drive to its destination from the beginning; return the actions that do it later, with names.
+
+    ScenarioRunner would start the ego at its destination if that were an initial action.
+    """
+    reaching = xosc.AcquirePositionAction(_point(destination))
+    if dialect is CARLA:
+        return [(f"{EGO} drives to its destination", reaching)]
+    init.add_init_action(EGO, reaching)
+    return []
+
+
 def _drive(mover: Mover, profile: Floats) -> list[tuple[str, Any]]:
     """Return the actions that drive a scripted vehicle along its route, with their names."""
     route = xosc.Route(f"route of {mover.name}")
@@ -163,16 +212,16 @@ def _drive(mover: Mover, profile: Floats) -> list[tuple[str, Any]]:
     return [(f"{mover.name} takes its route", taking), (f"{mover.name} keeps its speeds", keeping)]
 
 
-def _group(mover: Mover, row: Floats, actions: list[tuple[str, Any]]) -> Any:
+def _group(mover: Mover, row: Floats, actions: list[tuple[str, Any]], dialect: Dialect) -> Any:
     """Return the maneuver group of a vehicle: it appears, moves and leaves; None if it does none of these."""
     maneuver = xosc.Maneuver(f"maneuver of {mover.name}")
     begin, end = float(row[0]), float(mover.time[-1])
     if begin > 0:
         actions = [(f"{mover.name} appears", xosc.AddEntityAction(mover.name, _place(row))), *actions]
     for name, action in actions:
-        maneuver.add_event(_event(name, action, begin))
+        maneuver.add_event(_event(name, action, begin, dialect))
     if mover.is_gone:
-        maneuver.add_event(_event(f"{mover.name} leaves", xosc.DeleteEntityAction(mover.name), end))
+        maneuver.add_event(_event(f"{mover.name} leaves", xosc.DeleteEntityAction(mover.name), end, dialect))
     if not maneuver.events:
         return None
     group = xosc.ManeuverGroup(f"group of {mover.name}")
@@ -181,27 +230,27 @@ def _group(mover: Mover, row: Floats, actions: list[tuple[str, Any]]) -> Any:
     return group
 
 
-def _event(name: str, action: Any, time: float) -> Any:
+def _event(name: str, action: Any, time: float, dialect: Dialect) -> Any:
     event = xosc.Event(name, xosc.Priority.parallel)
     event.add_action(name, action)
-    event.add_trigger(_at(time))
+    event.add_trigger(_at(time, dialect))
     return event
 
 
-def _at(time: float) -> Any:
-    condition = xosc.SimulationTimeCondition(_rounded(time), xosc.Rule.greaterOrEqual)
+def _at(time: float, dialect: Dialect) -> Any:
+    condition = xosc.SimulationTimeCondition(_rounded(time), dialect.since)
     return xosc.ValueTrigger(f"at {time:g} s", 0, xosc.ConditionEdge.none, condition)
 
 
-def _stop(scene: SceneFile) -> Any:
+def _stop(scene: SceneFile, dialect: Dialect) -> Any:
     """Return the trigger that stops the storyboard: a collision of the ego, its arrival, or the time limit."""
-    limit = xosc.SimulationTimeCondition(f"${TIME_LIMIT}", xosc.Rule.greaterOrEqual)
+    limit = xosc.SimulationTimeCondition(f"${TIME_LIMIT}", dialect.since)
     conditions = [xosc.ValueTrigger("time limit", 0, xosc.ConditionEdge.none, limit, "stop")]
     events = {f"collision with {mover.name}": xosc.CollisionCondition(mover.name) for mover in scene.movers[1:]}
     if scene.stops_there:
         events["arrival"] = xosc.DistanceCondition(
             f"${ARRIVAL}",
-            xosc.Rule.lessOrEqual,
+            dialect.within,
             _point(scene.destination),
             freespace=False,
             distance_type=xosc.RelativeDistanceType.euclidianDistance,

@@ -85,7 +85,7 @@ KNOWN: Final[Mapping[str, frozenset[str]]] = MappingProxyType(  # the elements t
 _ROOT: Final = "OpenSCENARIO"
 _KINDS: Final = MappingProxyType(  # of other files, by their roots
     {
-        _ROOT: "an OpenSCENARIO file of another program",
+        _ROOT: "an OpenSCENARIO file of another program, or for CARLA",
         "OpenDRIVE": "an OpenDRIVE road",
         "commonRoad": "a CommonRoad scenario",
         "net": "a network of SUMO",
@@ -147,7 +147,8 @@ def _parsed(path: Path) -> Element:
     if root.tag != _ROOT or header is None or axes.ENVIRONMENT not in _properties(header):
         raise InputError(
             f"{path} is {kind}, and not a scene of behavexplor's environments: only what `behavexplor export` has "
-            f"written can be taken, changed or not (it has the property {axes.ENVIRONMENT} in its FileHeader)"
+            f"written in OpenSCENARIO 1.2 can be taken, changed or not (its FileHeader has the property "
+            f"{axes.ENVIRONMENT})"
         )
     _check_known(root)
     _insert_parameters(root)

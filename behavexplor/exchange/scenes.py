@@ -3,11 +3,10 @@
 The writers make files of a scene, and the reader makes a scene of a file.
 """
 
-import codecs
-import csv
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +15,8 @@ from numpy.typing import ArrayLike
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import EPISODE_TIME
-from behavexplor.data.durable import new_file
+from behavexplor.data.csv_text import csv_text
+from behavexplor.data.durable import write_durably
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y, motion_table
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
@@ -132,8 +132,6 @@ def write_table(scenario: Scenario, trace: Trace, path: Path) -> None:
     present = trace.present if trace.present.size else np.ones(trace.heading.shape, dtype=bool)
     names = [(vehicle_name(i), vehicle_type(scenario, i)) for i in range(len(trace.size))]
     sizes, times = trace.size.tolist(), np.round(trace.time, DIGITS).tolist()
-    with new_file(path) as file:
-        writer = csv.writer(codecs.getwriter("utf-8")(file))
-        writer.writerow(COLUMNS)
-        for frame, i in np.argwhere(present).tolist():
-            writer.writerow([times[frame], *names[i], *motion[frame, i].tolist(), *sizes[i]])
+    found = np.argwhere(present).tolist()
+    rows = ([times[frame], *names[i], *motion[frame, i].tolist(), *sizes[i]] for frame, i in found)
+    write_durably(path, csv_text(chain([COLUMNS], rows)))

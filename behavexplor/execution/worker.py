@@ -7,11 +7,13 @@ import multiprocessing
 import os
 import queue
 import signal
+import stat
 import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from threading import Thread
 from typing import Any, Final
 
@@ -25,10 +27,12 @@ from behavexplor.execution.service import Batch, Recipe, Service
 from behavexplor.execution.worker_output import leave_terminal
 
 try:
+    import fcntl
     import resource
 except ImportError:  # Windows has no such limits
-    resource = None  # type: ignore[assignment]
+    fcntl = resource = None  # type: ignore[assignment]
 
+_STDERR: Final = 2  # number of the last of the standard files
 CLOSED: Final = 83  # exit code of a worker whose connection was closed
 
 
@@ -70,6 +74,7 @@ def serve(
         connection.recv_bytes()  # `STARTED`
         _be_killed_with_supervisor(with_children=output is not None)
     os.register_at_fork(after_in_child=connection.close)  # a copy that an ADS makes of this process answers nothing
+    _leave_pipes()
     service = recipe.make()
     if recipe.long_calls:
         signal.signal(signal.SIGTERM, lambda *_: service.stop())
@@ -86,6 +91,29 @@ def serve(
     requests: queue.SimpleQueue[Request | None] = queue.SimpleQueue()
     Thread(target=_receive, args=(connection, requests), daemon=True).start()
     _work(connection, requests, service)
+
+
+def _leave_pipes() -> None:
+    """Lead all pipes into which this process can write to nowhere, except its output.
+
+    They are those of the processes that begin workers, which end if a driver writes into them.
+    """
+    files = Path("/dev/fd")
+    if not files.is_dir():  # on Windows
+        return
+    with Path(os.devnull).open("wb") as nowhere:
+        for number in [int(entry.name) for entry in files.iterdir()]:
+            if number > _STDERR and _leads_away(number):
+                os.dup2(nowhere.fileno(), number)
+
+
+def _leads_away(number: int) -> bool:
+    """Return whether an open file is a pipe into which this process can write."""
+    try:
+        is_pipe = stat.S_ISFIFO(os.fstat(number).st_mode)
+        return is_pipe and fcntl.fcntl(number, fcntl.F_GETFL) & os.O_ACCMODE == os.O_WRONLY
+    except OSError:  # it was open while the folder was listed
+        return False
 
 
 def _receive(connection: Connection, requests: "queue.SimpleQueue[Request | None]") -> None:

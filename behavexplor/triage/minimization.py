@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -36,6 +36,7 @@ from behavexplor.triage.shrinking import shrink, size_of
 
 LIMIT: Final = 500  # executions of candidates for one failure
 TIME_LIMIT: Final = 100.0  # time limit of one failure, in units of the time limit of an execution
+PATIENCE: Final = 1.0  # time after which a failure that is being minimized is mentioned again [s]
 MINIMIZE: Final = "minimize"  # function of the service
 ENDINGS: Final = frozenset({"crash", "hang"})  # kinds of errors by which a driver ends or blocks its process
 
@@ -280,24 +281,28 @@ class RunMinimization:
         """Minimize the waiting failures in parallel, and return all chosen ones in order.
 
         Args:
-            observe: function that gets the number of failures that were minimized.
+            observe: function that gets the number of failures that were minimized, whenever one is, and every second.
 
         Raises:
             InputError: if the driver cannot be loaded, or the run folder cannot be written.
             RuntimeError: if a failure could not be minimized.
         """
         try:
-            for done, minimal in enumerate(self._minimized(), 1):
-                self._found[minimal.id] = minimal
-                observe(done)
+            for minimal in self._minimized():
+                if minimal is not None:
+                    self._found[minimal.id] = minimal
+                observe(sum(number in self._found for number in self.waiting))
         except OSError as error:
             raise InputError(f"The run folder {self._store.folder} cannot be written: {error.strerror}") from None
         finally:
             self._store.close()
         return [self._found[number] for number in self._chosen]
 
-    def _minimized(self) -> Iterator[Minimized]:
-        """Minimize the waiting failures, write the results into the run folder, and yield them in order."""
+    def _minimized(self) -> Iterator[Minimized | None]:
+        """Minimize the waiting failures, write the results into the run folder, and yield them in order.
+
+        While one takes long, None is yielded every `PATIENCE` seconds.
+        """
         if not self.waiting:
             return
         store, workers = self._store, min(self._workers, len(self.waiting))
@@ -309,7 +314,10 @@ class RunMinimization:
             calls = (_call(store.execution(number), self._config.seed, self._findings.get(number)) for number in tried)
             futures = in_order(executor, calls, AHEAD * self._workers)
             for number in self.waiting:
-                answer = None if number in ended else _answer(next(futures))
+                future = None if number in ended else next(futures)
+                while future is not None and not wait([future], PATIENCE).done:
+                    yield None
+                answer = None if future is None else _answer(future)
                 minimal, trace = answer or self._as_found(executor, store.execution(number))
                 minimal.write(store.folder, trace)
                 yield minimal

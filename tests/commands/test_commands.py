@@ -179,6 +179,8 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
         (["fuzz", "--seed", "-1"], "The seed -1"),
         (["fuzz", "--config", "papper"], "did you mean 'paper'?"),
         (["fuzz", "--config", "pyproject.toml"], "is not a YAML file"),
+        (["fuzz", "--env-config", '{"duration": 3}'], "cannot be read: No such file or directory"),
+        (["fuzz", "--ads", "tests.drivers:Unreadable", "--workers", "0", "--unconfined"], "RuntimeError: no predict"),
         (["fuzz", "--resume", "tests"], "is not a run folder"),
         (
             ["fuzz", "--resume", "tests", "--config", "paper"],

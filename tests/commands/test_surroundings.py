@@ -1,6 +1,9 @@
 """Commands where folders that libraries write to cannot be written."""
 
 import os
+import signal
+import subprocess
+import sys
 import tempfile
 
 import pytest
@@ -47,3 +50,22 @@ def test_a_missing_folder_for_temporary_files_is_one_sentence(monkeypatch, capsy
     monkeypatch.setattr(tempfile, "gettempdir", nowhere)
     assert main(["records"]) == BAD_INPUT
     assert capsys.readouterr().err.splitlines()[-1].endswith(NO_TEMPORARY_FOLDER)
+
+
+INTERRUPTED_IMPORT = """
+import os, signal, sys
+import behavexplor.__main__
+
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "behavexplor.commands":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+behavexplor.__main__.run()
+"""
+
+
+def test_ctrl_c_during_the_imports_shows_no_traceback():
+    ended = subprocess.run([sys.executable, "-c", INTERRUPTED_IMPORT], capture_output=True, check=False)
+    assert (ended.returncode, ended.stderr) == (-signal.SIGINT, b"")

@@ -19,9 +19,9 @@ from behavexplor.judge.specs import SPECS
 SCHEMAS = Path(scenariogeneration.__file__).parent.parent / "schemas"
 
 
-def schema_errors(path):
+def schema_errors(path, revision="1_2"):
     """The errors of an exported file against the published schema of its standard."""
-    name = "OpenSCENARIO_1_2.xsd" if path.suffix == ".xosc" else "opendrive_17_core.xsd"
+    name = f"OpenSCENARIO_{revision}.xsd" if path.suffix == ".xosc" else "opendrive_17_core.xsd"
     schema = etree.XMLSchema(etree.parse(SCHEMAS / name))
     schema.validate(etree.parse(path))
     return [f"{path.name}, line {error.line}: {error.message}" for error in schema.error_log]

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from highway_env.road.lane import PolyLane, StraightLane
 from highway_env.road.road import RoadNetwork
+from lxml import etree
+from scipy.integrate import quad
 
 from behavexplor.data.road_shape import SineLane, part_of, plan_of_map
 from behavexplor.data.roadmap import Lane
@@ -75,6 +77,20 @@ def test_another_library_reads_the_same_lanes(name, tmp_path):
         share = np.clip(np.einsum("ij,ij->i", point - start, along) / squared, 0.0, 1.0)
         gaps.append(np.hypot(*(start + share[:, None] * along - point).T).min())
     assert max(gaps) < GREATEST_GAP
+
+
+def test_a_cubic_is_never_shorter_than_its_length(tmp_path):
+    path = tmp_path / "road.xodr"
+    write_road(plan_of("lane-keeping-v0")[0], "lane-keeping-v0", path)
+    lengths = []
+    for geometry in etree.parse(path).iter("geometry"):
+        cubic = geometry.find("paramPoly3")
+        if cubic is not None:
+            slopes = [[i * float(cubic.get(name + axis)) for i, name in enumerate("abcd")][1:] for axis in "UV"]
+            arc = quad(lambda p, slopes=slopes: np.hypot(*(np.polyval(row[::-1], p) for row in slopes)), 0, 1)[0]
+            lengths.append(arc - float(geometry.get("length")))
+    assert len(lengths) > 0
+    assert 0.5e-9 < min(lengths) <= max(lengths) < 2e-9
 
 
 @pytest.mark.parametrize("lane", [planned.lane for planned in plan_of("lane-keeping-v0")[0]][:1])

@@ -31,6 +31,16 @@ def read(text, folder):
     return read_scene(folder / "b.xosc")
 
 
+def test_a_parked_vehicle_has_a_second_point_after_a_second(tmp_path):
+    time = np.arange(0.0, 6.0, 0.05)
+    pose = np.outer(np.minimum(time, 2.0), [3.0, 0.0, 0.0])
+    ego = Mover("Ego", "vehicle", (4.9, 2.1), time, pose, 3.0)
+    write_scene(SceneFile("a scene", "lane-follow", movers=(ego,)), tmp_path / "a.xosc", datetime.fromtimestamp(0, UTC))
+    written = read_scene(tmp_path / "a.xosc").movers[0]
+    np.testing.assert_allclose(written.time[-4:], [1.95, 2.0, 3.0, time[-1]])
+    np.testing.assert_allclose(written.pose[-3:, 0], 6.0)
+
+
 def test_a_count_of_vehicles_may_be_any_text(text, tmp_path):
     assert read(text, tmp_path).n_vehicles == 1
     changed = re.sub(r'(name="behavexplor:vehicles" value=")1"', rf'\g<1>{"9" * 5000}"', text)

@@ -37,6 +37,7 @@ NOT_RUN = {  # shell lines that do not run, or their beginnings up to a space, a
     "./run bench paper --tables-only": "it needs the campaigns of the line before",
     "pip install ": "it would change the environment of the tests",
     "docker ": "another program",
+    "python scenario_runner.py ": "another program, which needs CARLA",
     "esmini ": "another program, which is not installed here",
     "behavexplor fuzz --env lane-follow --ads rule:hardened --cluster ": "tests/execution starts clusters",
     "ray ": "for other machines",

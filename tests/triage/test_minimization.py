@@ -2,6 +2,7 @@
 
 import json
 from concurrent.futures import Future
+from threading import Timer
 
 import numpy as np
 import pytest
@@ -133,13 +134,32 @@ class Dying:
         pass
 
 
-def test_a_driver_that_ends_or_blocks_its_process_keeps_no_other_failure_from_being_minimized(
-    tmp_path, monkeypatch, capsys
-):
-    dying = Dying()
-    monkeypatch.setattr("behavexplor.triage.examination.start_executor", lambda *_, **__: dying)
-    store = Store.create(tmp_path / "run", CampaignConfig(ads="idm").to_yaml())
-    for number, kind in enumerate(["hang", "raised", "crash"]):
+class Slow(Dying):
+    """An executor whose process takes a while until the driver ends it."""
+
+    def submit(self, function, data):
+        answered, future = super().submit(function, data), Future()
+        Timer(0.2, lambda: future.set_exception(answered.exception())).start()
+        return future if function == MINIMIZE else answered
+
+
+def test_a_minimization_that_takes_long_says_what_it_does(tmp_path, monkeypatch, capsys):
+    slow = Slow()
+    monkeypatch.setattr("behavexplor.triage.examination.start_executor", lambda *_, **__: slow)
+    monkeypatch.setattr("behavexplor.triage.minimization.PATIENCE", 0.02)
+    monkeypatch.setattr("behavexplor.commands.display.LINE_SECONDS", 0.0)
+    failed_run(tmp_path / "run", ["raised"])
+    assert main(["minimize", str(tmp_path / "run"), "--workers", "1"]) == OK
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first == "1 failure to minimize, each in at most 500 executions of simpler scenarios"
+    assert len(lines) > 2
+    assert {line.partition(",")[0] for line in lines} == {"0 of 1 failures", "1 of 1 failures"}
+
+
+def failed_run(folder, kinds):
+    """A run in which the driver has failed in these ways."""
+    store = Store.create(folder, CampaignConfig(ads="idm").to_yaml())
+    for number, kind in enumerate(kinds):
         scenario = LOGICAL.sample(np.random.default_rng(number))
         failure = {"kind": kind, "message": ""}
         named = {"violated": ("error",), "error": failure, "class": f"error/{kind}", "scenario": scenario.to_dict()}
@@ -147,6 +167,14 @@ def test_a_driver_that_ends_or_blocks_its_process_keeps_no_other_failure_from_be
         store.add(Execution(record, LOGICAL.first_frame(scenario, "error").to_bytes(), 0.0))
     store.commit()
     store.close()
+
+
+def test_a_driver_that_ends_or_blocks_its_process_keeps_no_other_failure_from_being_minimized(
+    tmp_path, monkeypatch, capsys
+):
+    dying = Dying()
+    monkeypatch.setattr("behavexplor.triage.examination.start_executor", lambda *_, **__: dying)
+    failed_run(tmp_path / "run", ["hang", "raised", "crash"])
     assert main(["minimize", str(tmp_path / "run"), "--workers", "1", "--quiet"]) == OK
     assert capsys.readouterr().out.count("so it was not minimized") == 3
     assert dying.calls.count(MINIMIZE) == 1  # a driver that blocks would do so for hours
