@@ -172,12 +172,7 @@ class Run:
         return stored_config(self.folder).says
 
     def _accepted(self, runs: Collection[str] = DRIVING, *, goes_on: bool = False) -> CampaignConfig:
-        """Return the configuration by which something may be executed.
-
-        Args:
-            runs: keys of the code that would be run, see `behavexplor.campaign.provenance`.
-            goes_on: whether the campaign is to go on.
-        """
+        """Return the configuration by which something may be executed that runs the code of these keys."""
         given = self._given
         consent = replace(self._consent, names=(given.name,) if given.is_named or given.driver is not None else ())
         return accepted_run(self.folder, consent, runs, goes_on=goes_on)

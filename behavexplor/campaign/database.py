@@ -32,19 +32,12 @@ _INSERT = (
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the database: one stored execution.
-
-    Attributes:
-        id: number of the execution.
-        record: record as JSON.
-        trace: trace as bytes; empty if it was not read.
-        elapsed: running time of the campaign up to the execution [s].
-    """
+    """A row of the database: one stored execution."""
 
     id: int
-    record: bytes
-    trace: bytes
-    elapsed: float
+    record: bytes  # record as JSON
+    trace: bytes  # trace as bytes; empty if it was not read
+    elapsed: float  # running time of the campaign up to the execution [s]
 
 
 class DamagedError(Exception):

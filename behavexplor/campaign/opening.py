@@ -39,17 +39,11 @@ from behavexplor.judge.specs import judge
 
 @dataclass(frozen=True)
 class Ready:
-    """A campaign that is ready to run.
-
-    Attributes:
-        campaign: the campaign.
-        store: store of its run folder.
-        warnings: warnings about the ADS, each of them a sentence.
-    """
+    """A campaign that is ready to run."""
 
     campaign: Campaign
     store: Store
-    warnings: list[str]
+    warnings: list[str]  # warnings about the ADS, each of them a sentence
 
 
 @contextmanager
@@ -200,12 +194,7 @@ Handler = Callable[[int, FrameType | None], object] | signal.Handlers
 
 @contextmanager
 def stopped_by_signals(stop: Callable[[], None], again: Handler) -> Iterator[None]:
-    """Make the first Ctrl-C (or SIGTERM) stop the code in this context cleanly, and the second one at once.
-
-    Args:
-        stop: function that is called on the first signal.
-        again: handler of the second signal.
-    """
+    """Make the first Ctrl-C (or SIGTERM) call `stop`, which ends this code cleanly, and the second one call `again`."""
 
     def first(number: int, _frame: FrameType | None) -> None:
         stop()

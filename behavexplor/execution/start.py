@@ -23,14 +23,11 @@ from behavexplor.execution.simulation import logical_scenario
 
 
 def start_executor(target: Target, workers: int, cluster: str = "", recipe: Recipe | None = None) -> Executor:
-    """Start the executor for the scenarios of a target.
+    """Start the executor for the scenarios of a target; by default, of an `Evaluator`.
 
-    Args:
-        target: the driving system and its environment.
-        workers: greatest number of worker processes, or number of nodes of a cluster. 0 means this process, without
-            limits of time and memory, or on a cluster one node for each core.
-        cluster: name of a cluster, see `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
-        recipe: recipe of the service for the target; by default that of an `Evaluator`.
+    `workers` is the greatest number of worker processes, or the number of nodes of a cluster. 0 means this process,
+    without limits of time and memory, or on a cluster one node for each core. For the name of a cluster, see
+    `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
 
     Raises:
         InputError: if the environment, the ADS or the cluster cannot be used, or if an ADS that must be confined
@@ -54,12 +51,7 @@ def start_executor(target: Target, workers: int, cluster: str = "", recipe: Reci
 
 
 def start_in_process(target: Target, driver: ADS, recipe: Recipe | None = None) -> Executor:
-    """Start the executor for a driver that exists in this process only.
-
-    Args:
-        target: the environment, and the name of the driver.
-        driver: the driver.
-        recipe: recipe of an evaluator for the target; by default that of a plain one.
+    """Start the executor for a driver that exists in this process only; by default, of an `Evaluator`.
 
     Raises:
         InputError: if the environment cannot be used, or the driver cannot drive in it.
@@ -78,10 +70,6 @@ def fewest_workers(target: Target) -> int:
 
 def logical_of_target(executor: Executor, env: str) -> LogicalScenario:
     """Return the logical scenario of a target, whose configuration may depend on what the ADS declares.
-
-    Args:
-        executor: executor of the target.
-        env: name of the environment.
 
     Raises:
         InputError: if the ADS or the environment cannot be loaded.
@@ -107,12 +95,8 @@ def check_loading(executor: Executor) -> None:
 def check_ads(executor: Executor, meanwhile: Callable[[], None] = lambda: None) -> list[str]:
     """Check the ADS in the place where it will run. This also compiles the kernels for all workers.
 
-    Args:
-        executor: executor of the ADS.
-        meanwhile: work to do in this process while the ADS is loaded in another one.
-
-    Returns:
-        Warnings, each of them a printable sentence.
+    `meanwhile` is work to do in this process while the ADS is loaded in another one. Return warnings, each of them a
+    printable sentence.
 
     Raises:
         InputError: if the ADS cannot be loaded.
@@ -128,12 +112,7 @@ def check_ads(executor: Executor, meanwhile: Callable[[], None] = lambda: None) 
 
 
 class InProcessExecutor(Executor):
-    """Calls the functions of a service in this process.
-
-    Args:
-        service: a service whose `begin` has been called.
-        batched: name of the function that is called in batches; see `behavexplor.execution.service.Recipe`.
-    """
+    """Calls the functions of a service in this process. The `begin` of the service has been called."""
 
     runs_here = True
 
