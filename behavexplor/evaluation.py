@@ -20,7 +20,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.rollout import LockStep, run_episodes
-from behavexplor.execution.start import start_executor, start_in_process
+from behavexplor.execution.start import start_executor
 from behavexplor.judge.outcomes import OutcomeBlock, OutcomeFile, Outcomes, outcomes_from, outcomes_of, packed, unpacked
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Decision, Goal, clopper_pearson
 from behavexplor.judge.specs import SPECS
@@ -141,14 +141,8 @@ class Judge(Evaluator):
 
 
 def start_judge(target: Target, workers: int, driver: ADS | None = None) -> Executor:
-    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`.
-
-    A `driver` of this process drives in place of the driving system of that name.
-    """
-    recipe = recipe_for(Judge, target)
-    return (
-        start_executor(target, workers, recipe=recipe) if driver is None else start_in_process(target, driver, recipe)
-    )
+    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`."""
+    return start_executor(target, workers, recipe=recipe_for(Judge, target), driver=driver)
 
 
 def estimate_rates(

@@ -33,7 +33,7 @@ from behavexplor.execution.evaluator import simulation_of
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import EpisodeDriver
 from behavexplor.execution.simulation import Simulation
-from behavexplor.execution.start import fewest_workers, start_executor, start_in_process
+from behavexplor.execution.start import fewest_workers, start_executor
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
 from behavexplor.report.drawing import decisive_frame, draw, footage_of, save_animation
@@ -376,9 +376,7 @@ class Run:
 
     def _executor(self) -> Executor:
         target = self._accepted().target
-        if self._given.driver is not None:
-            return start_in_process(target, self._given.driver)
-        return start_executor(target, fewest_workers(target))
+        return start_executor(target, fewest_workers(target), driver=self._given.driver)
 
     def __len__(self) -> int:
         with closing(Store.read(self.folder)) as store:
