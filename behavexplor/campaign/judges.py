@@ -121,7 +121,6 @@ class Judges:
             for judging, _ in group:
                 if not judging.done():
                     judging.set_exception(error)
-            return
         self._send()
 
 
