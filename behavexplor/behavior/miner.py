@@ -45,8 +45,7 @@ class MinerOptions:
     """Options for abstracting behaviors. The defaults are the paper's values, where it states them."""
 
     window: Annotated[int, between(1)] = 10  # the paper's w, number of states of 0.1 s in a merged state
-    # windows at the end of a trace: "padded" with repetitions of its last state (paper), or "cut"
-    tail: Tail = "padded"
+    tail: Tail = "padded"  # windows at the end of a trace: "padded" with its last state (paper), or "cut"
     heading_frame: HeadingFrame = "route"  # frame of the headings, the ego's "route" or the "world"
     clusters: Annotated[int, between(1, MAX_CLUSTERS)] = 10  # the paper's K, number of abstract states
     # scaling of features before clustering. "zscore" scales every feature to deviation 1, unless it hardly varies at
@@ -56,8 +55,7 @@ class MinerOptions:
     # every novel behavior (paper). The default keeps the cost of an execution constant. Its novelty decisions agree
     # with the paper's rule more often than two random states of that rule agree with each other.
     refit_growth: Annotated[float, between(0)] = 0.25
-    # greatest number of merged states to which clusters are fitted, a uniform sample of all
-    sample_size: Annotated[int, between(1, 1_000_000)] = 20_000
+    sample_size: Annotated[int, between(1, 1_000_000)] = 20_000  # most merged states that are fitted, a uniform sample
     random_state: Annotated[int, between(0, 2**32 - 1)] = 0  # seed of the clustering and of the sample
 
     def __post_init__(self) -> None:
@@ -268,8 +266,7 @@ class NoveltyOptions:
         InputError: if the threshold is not in [0, 1].
     """
 
-    # least distance between distinct behaviors, exclusive
-    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD
+    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # least distance between distinct ones, exclusive
     miner: MinerOptions = field(default_factory=MinerOptions)
 
 

@@ -77,8 +77,7 @@ class Progress:
     violations: Mapping[str, int] = field(default_factory=dict)
     # numbers of the first failures of each of these specs, at most `LISTED`
     examples: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    # the classes of failures by their ids. Each class is a unique violation.
-    classes: Mapping[str, ClassSummary] = field(default_factory=dict)
+    classes: Mapping[str, ClassSummary] = field(default_factory=dict)  # by their ids; each is a unique violation
     novel: int = 0  # number of executions with a behavior that was new to the campaign
     elapsed: float = 0.0  # running time, including the time before an interruption [s]
     earlier: float = 0.0  # running time before the interruption [s]

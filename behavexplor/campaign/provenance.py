@@ -76,8 +76,7 @@ class Permission:
     """What may be done as a folder says."""
 
     is_own: bool = False  # whether what the folder says of trust and confinement counts
-    # digests of the modules that it names and that workers import
-    modules: Mapping[str, str] = field(default_factory=dict)
+    modules: Mapping[str, str] = field(default_factory=dict)  # digests of the named modules that workers import
     digests: tuple[str, ...] = ()  # digests of the folder, where they were needed
 
 

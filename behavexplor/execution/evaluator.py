@@ -56,8 +56,7 @@ class Evaluator(Service):
             DRAWS: self.draws,
             FINGERPRINT: fingerprint,
         }
-        # executes many scenarios in lock-step; None if the ADS or the environment cannot
-        self.batch: ScenarioBatch | None = None
+        self.batch: ScenarioBatch | None = None  # scenarios in lock-step; None if the ADS or the environment cannot
         self._unprevented: tuple[str, ...] = ()
         self._notices: list[str] = []
 

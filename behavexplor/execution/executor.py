@@ -66,8 +66,7 @@ class ADSError(Exception):
         # process died)
         self.kind = kind
         self.message = message
-        # where the ADS raised an exception, see `behavexplor.errors.place_of`. It is no part of a record.
-        self.place = place
+        self.place = place  # where the ADS raised, see `behavexplor.errors.place_of`; no part of a record
 
 
 def in_order(executor: Executor, calls: Iterable[tuple[str, bytes]], ahead: int) -> Iterator["Future[bytes]"]:

@@ -30,8 +30,7 @@ class Service:
     functions: Mapping[str, Callable[[bytes], bytes]]  # functions from bytes to bytes, by name
     # whether third-party code will run in the process, which then gives up rights, see `confine`, and has no terminal
     is_confined: bool = False
-    # batch that processes many calls of `Recipe.batched` at a time; None if each call is made alone
-    batch: Batch | None = None
+    batch: Batch | None = None  # processes many calls of `Recipe.batched` at a time; None if each is made alone
 
     def prepare(self) -> None:
         """Prepare this machine, in the supervisor's process, before the first worker starts."""

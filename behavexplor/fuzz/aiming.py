@@ -36,10 +36,8 @@ _CHOICES: Final = 5  # vehicles of one route that are tried, if the spawn rules 
 class AimingOptions:
     """Options of aiming."""
 
-    # number of vehicles drawn on a route, of which one that meets the ego is taken
-    draws: Annotated[int, between(1, 1000)] = 48
-    # greatest distance between the centers of the vehicle and the recorded ego when they meet [m]
-    reach: Annotated[float, between(0.1)] = 4.5
+    draws: Annotated[int, between(1, 1000)] = 48  # vehicles drawn on a route, of which one that meets the ego is taken
+    reach: Annotated[float, between(0.1)] = 4.5  # greatest distance between the centers of vehicle and ego [m]
     # share of vehicles that are aimed at the part of the drive in which the ego changed lanes or turned, if it did
     changing_share: Annotated[float, between(0, 1)] = 0.25
 

@@ -36,16 +36,11 @@ class AVFuzzerOptions:
     """Options of `AVFuzzer`. The defaults are the published values, where the publication states them."""
 
     population: Annotated[int, between(2)] = 4  # number of individuals in a generation
-    # probability that a pair of individuals swaps one NPC
-    crossover_probability: Annotated[float, between(0.01, 1)] = 0.4
-    # probability that one property of one NPC of an individual changes
-    mutation_probability: Annotated[float, between(0.01, 1)] = 0.4
-    # number of generations in a row without a better best individual before a restart
-    patience: Annotated[int, between(1)] = 5
-    # number of scenarios drawn at a restart. Those farthest from all earlier scenarios are kept.
-    restart_samples: int = 1000
-    # number of generations since the start or restart before the local fuzzer may begin
-    local_after: Annotated[int, between(0)] = 2
+    crossover_probability: Annotated[float, between(0.01, 1)] = 0.4  # that a pair of individuals swaps one NPC
+    mutation_probability: Annotated[float, between(0.01, 1)] = 0.4  # that one property of one NPC changes
+    patience: Annotated[int, between(1)] = 5  # generations in a row without a better best before a restart
+    restart_samples: int = 1000  # scenarios drawn at a restart; those farthest from all earlier ones are kept
+    local_after: Annotated[int, between(0)] = 2  # generations since a start before the local fuzzer may begin
     local_generations: Annotated[int, between(1)] = 5  # number of generations of the local fuzzer
     local_factor: Annotated[float, between(0)] = 1.5  # factor on the mutation probability in the local fuzzer
 

@@ -204,30 +204,21 @@ class BehAVExplorOptions:
     presets are in `configs/`, and docs/methods.md has a table of them.
     """
 
-    # number of scenarios executed before the first mutation. The paper does not state it.
-    initial_corpus: Annotated[int, between(1)] = 4
+    initial_corpus: Annotated[int, between(1)] = 4  # scenarios before the first mutation; not stated in the paper
     initial_energy: float = 1.0  # E of the initial testcases
     # source of novelty. "measured" is the novelty of a mutant's behavior. "random" is a control in which novelty and
     # distance are drawn from [0, 1]. "none" is the paper's w/o BG.
     novelty: Literal["measured", "random", "none"] = "measured"
-    # theta_c. A behavior is novel if its distance from all known ones is greater.
-    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD
+    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # theta_c: novel behaviors are farther away
     # testcases whose behaviors are known (the paper's Y): all that were "kept", or only initial and "novel" ones
     known: Literal["kept", "novel"] = "kept"
-    # selection of the testcase to mutate, by "energy" or "uniform" (the paper's w/o Energy)
-    selection: Literal["energy", "uniform"] = "energy"
-    # choice of the mutation, by the testcase's "energy" or at "random" (w/o Energy)
-    mutation: Literal["energy", "random"] = "energy"
-    # probability of a waypoint mutation if mutations are chosen at random
-    waypoint_share: Annotated[float, between(0, 1)] = 0.5
-    # theta_e. Testcases with more energy get a waypoint mutation, all others a route mutation.
-    waypoint_energy: float = 0.5
-    # epsilon of waypoint mutation, the probability that an NPC stays unchanged
-    waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
-    # epsilon of route mutation, the probability that an NPC stays unchanged
-    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
-    # probability that a waypoint of a chosen NPC stays unchanged
-    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0
+    selection: Literal["energy", "uniform"] = "energy"  # of the testcase to mutate; "uniform" is w/o Energy
+    mutation: Literal["energy", "random"] = "energy"  # choice by the testcase's energy, or at random (w/o Energy)
+    waypoint_share: Annotated[float, between(0, 1)] = 0.5  # of the mutations if they are chosen at random
+    waypoint_energy: float = 0.5  # theta_e: testcases with more get a waypoint mutation, others a route mutation
+    waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon, of an NPC
+    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon, of an NPC
+    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # of a waypoint of a chosen NPC
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
     sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0  # standard deviation of waypoint mutation [m/s]
     # in highway-env environments, the standard deviation of the small mutation of a draw, as a share of the draw's
@@ -243,15 +234,12 @@ class BehAVExplorOptions:
     # initial energy of a kept mutant. "degree-change" is 1 + w_2 dE_V (paper equation 17). "degree-and-novelty" is 1 +
     # dO / 2 + d / 2, with the mutant's gain in degree dO and its novelty d.
     mutant_energy: Literal["degree-change", "degree-and-novelty"] = "degree-change"
-    # mutants that count as failures in the failure frequency, "failed" ones or "failed-or-novel" ones
-    success: Literal["failed", "failed-or-novel"] = "failed"
+    success: Literal["failed", "failed-or-novel"] = "failed"  # mutants that count as failures in the failure frequency
     # the distance d in the denominator 1 - d of the change of the violation degree: the mutant's distance from its
     # "parent", or from the nearest of all "known" behaviors
     degree_distance: Literal["parent", "known"] = "parent"
-    # whether the change of the violation degree is bounded by tanh. The paper prints it unbounded.
-    bounded: bool = True
-    # the small number in the denominator 1 - d + gamma of the change of the violation degree
-    gamma: Annotated[float, between(1e-12, 1)] = GAMMA
+    bounded: bool = True  # whether the change of the violation degree is bounded by tanh, unlike in the paper
+    gamma: Annotated[float, between(1e-12, 1)] = GAMMA  # in the denominator 1 - d + gamma of the change of the degree
     # options for the violation degree and the failure of an execution, as the search sees them
     assessment: AssessmentOptions = field(default_factory=AssessmentOptions)
     miner: MinerOptions = field(default_factory=MinerOptions)

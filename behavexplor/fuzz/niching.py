@@ -39,12 +39,9 @@ class NichingOptions:
 
     population: Annotated[int, between(1, MAX_POPULATION)] = 20  # number of executions that may become parents
     initial: Annotated[int, between(1)] = 20  # number of uniform scenarios executed before the first child
-    # how much worse an execution becomes when its niche is seen e times as often [s]
-    penalty: Annotated[float, between(0)] = 0.5
-    # probability that a child takes each vehicle from either of two parents
-    exchange: Annotated[float, between(0, 1)] = 0.5
-    # probability that a mutation draws vehicles anew; otherwise, it adds noise
-    redraw: Annotated[float, between(0, 1)] = 0.4
+    penalty: Annotated[float, between(0)] = 0.5  # worse by this when the niche is seen e times as often [s]
+    exchange: Annotated[float, between(0, 1)] = 0.5  # probability that a child takes a vehicle from either parent
+    redraw: Annotated[float, between(0, 1)] = 0.4  # probability that vehicles are drawn anew; else, noise is added
 
 
 class _Parent(NamedTuple):

@@ -28,8 +28,7 @@ class NSGA2Options:
 
     population: Annotated[int, between(4, MAX_POPULATION)] = 20  # number of individuals in a generation
     crossover_probability: Annotated[float, between(0, 1)] = 0.9  # probability of simulated binary crossover
-    # distribution index of the crossover. With a greater index, offspring resemble their parents more.
-    crossover_eta: Annotated[float, between(0)] = 15.0
+    crossover_eta: Annotated[float, between(0)] = 15.0  # a greater index makes offspring resemble their parents more
     mutation_eta: Annotated[float, between(0)] = 20.0  # distribution index of polynomial mutation
 
 

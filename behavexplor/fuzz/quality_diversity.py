@@ -71,10 +71,8 @@ def check_measures(measures: Sequence[Measure]) -> None:
 class VariationOptions:
     """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1)."""
 
-    # standard deviation of the noise on every gene, as a share of its range
-    iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05
-    # standard deviation of the step toward the second elite, as a share of the distance
-    line_sigma: Annotated[float, between(0, 10)] = 0.2
+    iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05  # deviation of the noise on a gene, as a share of its range
+    line_sigma: Annotated[float, between(0, 10)] = 0.2  # of the step to the second elite, as a share of the distance
     # probability that an NPC stays as in the first elite. Noise on all NPCs at once would destroy most of what made the
     # elite good.
     npc_keep_probability: Annotated[float, between(0, 0.95)] = 0.5
@@ -174,8 +172,7 @@ class NoveltySearchOptions:
     initial: Annotated[int, between(1)] = 20  # number of uniform scenarios executed before the first variation
     measures: tuple[Measure, ...] = tuple(SCALES)  # measures that distinguish behaviors; see `SCALES`
     neighbors: Annotated[int, between(1)] = 15  # number of nearest neighbors whose mean distance is the novelty
-    # least novelty of a kept scenario, in the space of the measures, each of which spans [0, 1]
-    threshold: Annotated[float, between(0)] = 0.1
+    threshold: Annotated[float, between(0)] = 0.1  # least novelty of a kept scenario, by measures in [0, 1]
     variation: VariationOptions = field(default_factory=VariationOptions)
 
     def __post_init__(self) -> None:

@@ -171,41 +171,28 @@ class SAMOTAOptions:
     The preset `samota-seeded` has a variant whose searches begin with the best executions, failures included.
     """
 
-    # number of initial scenarios, and of predicted individuals in a generation of a global search
-    population: Annotated[int, between(2, MAX_POPULATION)] = 6
-    # number of points drawn for each initial scenario. The farthest from all earlier ones is taken.
-    adaptive_samples: Annotated[int, between(1)] = 10
+    population: Annotated[int, between(2, MAX_POPULATION)] = 6  # initial scenarios; predictions in a global generation
+    adaptive_samples: Annotated[int, between(1)] = 10  # points drawn for an initial scenario; the farthest is taken
     # first generation of a search: "random" individuals, or the "best" executed scenarios (in a local search the
     # executed scenarios of the cluster)
     start: Literal["random", "best"] = "random"
-    # what happens to a proposed scenario that was executed already: "skip" it, or "redraw" one of its NPCs
-    repeats: Literal["skip", "redraw"] = "skip"
+    repeats: Literal["skip", "redraw"] = "skip"  # "skip" a scenario that was executed, or "redraw" one of its NPCs
     generations: Annotated[int, between(1)] = 200  # number of generations of predicted individuals in a global search
     # greatest number of executions that a global surrogate learns from; half of them are the best ones. It bounds the
     # cost of an execution, which grows with the cube of this number.
     database_limit: Annotated[int, between(10, 10_000)] = 300
-    # share of the executions, the best of each objective, from which a local search starts
-    local_share: Annotated[float, between(0.001, 1)] = 0.2
-    # greatest number of executions from which a local search starts
-    local_limit: Annotated[int, between(10, 10_000)] = 100
-    # least number of executions in a cluster of a local search
-    cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5
-    # number of predicted individuals in a generation of a local search
-    local_population: Annotated[int, between(2, MAX_POPULATION)] = 6
-    # number of generations of predicted individuals in a local search
-    local_generations: Annotated[int, between(1)] = 200
-    # number of individuals from which the fittest becomes a parent; 1 for parents without selection
-    tournament: Annotated[int, between(1, MAX_POPULATION)] = 10
-    # "one-point" crossover of two vectors, or an exchange of whole "npcs"
-    crossover: Literal["one-point", "npcs"] = "one-point"
+    local_share: Annotated[float, between(0.001, 1)] = 0.2  # of the executions, the best, to start a local search from
+    local_limit: Annotated[int, between(10, 10_000)] = 100  # most executions from which a local search starts
+    cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5  # least number of executions in one, in a local search
+    local_population: Annotated[int, between(2, MAX_POPULATION)] = 6  # predictions in a generation of a local search
+    local_generations: Annotated[int, between(1)] = 200  # generations of predictions in a local search
+    tournament: Annotated[int, between(1, MAX_POPULATION)] = 10  # individuals, of which the fittest is a parent; 1: any
+    crossover: Literal["one-point", "npcs"] = "one-point"  # of two vectors at one point, or exchange of whole NPCs
     # probability that two parents are crossed at a point, or that an NPC comes from the second parent
     crossover_probability: Annotated[float, between(0.001, 1)] = 0.75
-    # "uniform" for genes that are drawn anew, or "gaussian" for noise on genes
-    mutation: Literal["uniform", "gaussian"] = "uniform"
-    # probability that a gene mutates; None for 1 / n with n genes
-    mutation_probability: Annotated[float, between(0.001, 1)] | None = None
-    # standard deviation of "gaussian" noise, as a share of the gene's range
-    mutation_sigma: Annotated[float, between(0.001, 1)] = 0.2
+    mutation: Literal["uniform", "gaussian"] = "uniform"  # genes drawn anew, or noise on genes
+    mutation_probability: Annotated[float, between(0.001, 1)] | None = None  # of a gene; None for 1 / n with n genes
+    mutation_sigma: Annotated[float, between(0.001, 1)] = 0.2  # of the noise, as a share of the gene's range
 
 
 class _Extremes:

@@ -38,8 +38,7 @@ class Blame:
     # environment, `standing_still_avoids_it` if all that avoid the crash fail otherwise, and one of them stands in the
     # end; if none stands, what that function says.
     kind: Kind
-    # whether the ego was inside a junction; False in a highway-env environment, where this is not known
-    in_junction: bool
+    in_junction: bool  # whether the ego was inside a junction; False in highway-env, where it is not known
     # evasion that avoids the collision, or in a highway-env environment another driver that keeps all its requirements;
     # None unless the collision is `preventable`
     witness: Witness | OtherDriver | None = None
