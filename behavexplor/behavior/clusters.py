@@ -51,13 +51,8 @@ class AbstractTraces:
     def distances(self, labels: Labels) -> Floats:
         """Compute the distance of an abstract trace from each of these, `dis` of the paper's equation 9.
 
-        (Hamming distance over the common part + difference of the lengths) / the longer length, in [0, 1].
-
-        Args:
-            labels: abstract trace, shape (length,).
-
-        Returns:
-            Distances, shape (len(self),). The distance of two empty traces is 0.
+        (Hamming distance over the common part + difference of the lengths) / the longer length, in [0, 1]. That of two
+        empty traces is 0. There is one distance for each of these.
         """
         starts = self._starts[: self._count + 1]
         differing = np.empty(self._count, dtype=np.int64)

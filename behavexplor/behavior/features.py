@@ -194,12 +194,9 @@ def _interpolate(time: Floats, now: float, t: int, first: Floats, second: Floats
 def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> None:
     """Fill in the statistics of each attribute in each window; see `behavexplor.behavior.features.merged_states`.
 
-    Args:
-        x: states, shape (attributes, n).
-        window: number of states in a window.
-        still: least deviation in a window that is a movement.
-        filled: the statistics of the first attribute, then of the second, and so on, shape
-            (n - window + 1, attributes * statistics); changed in place.
+    The states have the shape (attributes, n); a deviation in a window of less than `still` is no movement. The
+    statistics of the first attribute, then of the second, and so on, shape (n - window + 1, attributes * statistics),
+    are changed in place.
     """
     columns, terms = np.empty((N_STATISTICS, len(filled))), np.empty(x.shape[1])
     for j in range(len(x)):
@@ -213,12 +210,7 @@ def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> Non
 def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels: NDArray[np.uint8]) -> None:
     """Fill in the cluster whose center is nearest to the statistics of each window, the first of several.
 
-    Args:
-        x: states, shape (attributes, n).
-        window: number of states in a window.
-        still: least deviation in a window that is a movement.
-        clusters: clusters of such statistics.
-        labels: index of the nearest center for each window, shape (n - window + 1,); changed in place.
+    For states, shape (attributes, n), see `fill_statistics`. The labels, shape (n - window + 1,), are changed in place.
     """
     columns, terms = np.empty((N_STATISTICS, len(labels))), np.empty(x.shape[1])
     products = np.zeros((2, len(clusters.centers), len(labels)))  # of even and odd features

@@ -191,14 +191,9 @@ class _Sample:
 def standardize(sample: NDArray[np.float32], least: Floats, mean: Floats, scale: Floats, rows: Floats) -> None:
     """Fill in the mean and the deviation of each feature, and the rows with mean 0 and deviation 1.
 
-    The sums run in the order of the rows, as in numpy.
-
-    Args:
-        sample: the features, shape (n, features), n > 0.
-        least: least scale of each feature, in place of a smaller deviation, shape (features,).
-        mean: zeros, shape (features,); changed in place.
-        scale: zeros, shape (features,); changed in place.
-        rows: the standardized features, shape (n, features); changed in place.
+    The sums run in the order of the rows, as in numpy. The sample has the shape (n, features), n > 0. A deviation below
+    `least`, shape (features,), is replaced by it. `mean` and `scale`, zeros of that shape, and `rows` are changed in
+    place.
     """
     count, width = sample.shape
     for i in range(count):
