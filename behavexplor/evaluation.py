@@ -20,7 +20,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.rollout import LockStep, run_episodes
-from behavexplor.execution.start import start_executor, start_in_process
+from behavexplor.execution.start import start_executor
 from behavexplor.judge.outcomes import OutcomeBlock, OutcomeFile, Outcomes, outcomes_from, outcomes_of, packed, unpacked
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Decision, Goal, clopper_pearson
 from behavexplor.judge.specs import SPECS
@@ -37,23 +37,17 @@ _COUNTS, _COUNT = "counts", "count"  # functions of the service
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Outcomes of a number of scenarios.
-
-    Attributes:
-        n: number of scenarios.
-        counts: number of scenarios by outcome: "arrived", each spec for its violations, and "collision: " with each
-            verdict on a collision. Outcomes are in the order in which they are reported.
-        decision: what was decided on a rate, if the evaluation ended when enough was known. Its number of scenarios
-            then depends on what happened in them, so `interval` does not hold, but that of the decision does.
-        failed: number of failures.
-        at_fault: number of failures by the driver's own fault.
-    """
+    """Outcomes of a number of scenarios."""
 
     n: int
+    # number of scenarios by outcome: "arrived", each spec for its violations, and "collision: " with each verdict on a
+    # collision. Outcomes are in the order in which they are reported.
     counts: Mapping[str, int]
+    # what was decided on a rate, if the evaluation ended when enough was known. Its number of scenarios then depends on
+    # what happened in them, so `interval` does not hold, but that of the decision does.
     decision: Decision | None = None
     failed: int = 0
-    at_fault: int = 0
+    at_fault: int = 0  # number of failures by the driver's own fault
 
     @classmethod
     def of_outcomes(cls, scenarios: Iterable[Outcomes]) -> Self:
@@ -120,8 +114,7 @@ class Judge(Evaluator):
     def count(self, block: bytes) -> bytes:
         """Return the outcomes of a block of scenarios, see `packed`.
 
-        Args:
-            block: state of the generator that draws them, and their number, as JSON.
+        The block is the state of the generator that draws them, and their number, as JSON.
 
         Raises:
             ADSError: if the ADS fails in one of them. It is unknown in which one.
@@ -148,17 +141,8 @@ class Judge(Evaluator):
 
 
 def start_judge(target: Target, workers: int, driver: ADS | None = None) -> Executor:
-    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`.
-
-    Args:
-        target: the driving system and its environment.
-        workers: number of worker processes.
-        driver: object of this process that drives in place of the driving system of that name; None for none.
-    """
-    recipe = recipe_for(Judge, target)
-    return (
-        start_executor(target, workers, recipe=recipe) if driver is None else start_in_process(target, driver, recipe)
-    )
+    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`."""
+    return start_executor(target, workers, recipe=recipe_for(Judge, target), driver=driver)
 
 
 def estimate_rates(
@@ -173,14 +157,9 @@ def estimate_rates(
 ) -> Evaluation:
     """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the number of workers.
 
-    Args:
-        judge: executor of the ADS, see `start_judge`.
-        logical: logical scenario of its environment.
-        n: number of scenarios, or the greatest number if there is a goal.
-        seed: seed of the random scenarios.
-        observe: callback that gets the number of finished scenarios.
-        goal: what is to be known of a rate. The evaluation ends as soon as it is.
-        file: file from which the evaluation goes on, and to which it is written; None for none.
+    The executor is that of `start_judge`. With a goal, the evaluation ends as soon as what is to be known is, at the
+    latest after n scenarios. `observe` gets the number of finished ones. With a file, the evaluation goes on from it
+    and is written to it.
 
     Raises:
         ADSError: if the ADS fails in a scenario.
@@ -234,14 +213,7 @@ def uniform_outcomes(
 
 
 def failing(file: OutcomeFile, logical: LogicalScenario, seed: int, n: int) -> Iterator[tuple[int, Scenario]]:
-    """Yield number and scenario of each failure among the first n scenarios of an evaluation.
-
-    Args:
-        file: file of the evaluation.
-        logical: see `estimate_rates`.
-        seed: see `estimate_rates`.
-        n: number of scenarios.
-    """
+    """Yield number and scenario of each failure among the first n scenarios of an evaluation; see `estimate_rates`."""
     generator, first = np.random.default_rng([STREAM, seed]), 0
     for outcomes, state in file.blocks():
         failed = [place for place, one in enumerate(outcomes) if not one.passed and first + place < n]
@@ -255,14 +227,8 @@ def uniform_blocks(
 ) -> Iterator[OutcomeBlock]:
     """Yield the outcomes of uniformly drawn scenarios in blocks, in their order; see `estimate_rates`.
 
-    Workers judge several blocks at a time. A block is yielded when all before it have been.
-
-    Args:
-        judge: see `estimate_rates`.
-        logical: see `estimate_rates`.
-        numbers: numbers of the scenarios.
-        generator: generator that draws them.
-        observe: see `estimate_rates`.
+    Workers judge several blocks at a time. A block is yielded when all before it have been. `numbers` are those of the
+    scenarios.
 
     Raises:
         ADSError: if the ADS fails in a scenario.
@@ -308,11 +274,7 @@ def _each(judge: Executor, logical: LogicalScenario, generator: np.random.Genera
 
 
 def _counted(answer: "Future[bytes]", numbers: range) -> list[Outcomes] | None:
-    """Return the outcomes of a counted block; None if that failed, and each scenario must tell whether it is to blame.
-
-    Raises:
-        RuntimeError: if a failure did not recur.
-    """
+    """Return the outcomes of a counted block; None if that failed, and it is unknown which scenario is to blame."""
     try:
         counted = json.loads(answer.result())
     except (ADSError, InputError, RuntimeError):

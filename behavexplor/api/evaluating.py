@@ -41,15 +41,11 @@ _UNUSED: Final = frozenset({"method", "options", "budget", "batch", "specs", "re
 
 
 def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[str, Any] | None]:
-    """Return the name of an environment, and its configuration.
+    """Return the name of an environment, and its configuration; None as that of a name.
 
-    Args:
-        given: name as in `behavexplor.envs.making.environment_id`, or an environment that gymnasium has made.
-
-    Returns:
-        The name and the configuration; None as the configuration of a name. The configuration of an object is what
-        differs from its default. For an environment of highway-env, it also has all keys of the scene, because a model
-        could have been trained in another scene.
+    An environment is given by name, as in `behavexplor.envs.making.environment_id`, or as an object that gymnasium has
+    made. The configuration of an object is what differs from its default. For an environment of highway-env, it also
+    has all keys of the scene, because a model could have been trained in another scene.
 
     Raises:
         InputError: if it is neither, or has a wrapper that would change what a driver observes or does, or a limit that
@@ -77,11 +73,7 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
 
 
 def given_config(of_env: Mapping[str, Any] | None, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return what is known of a configuration, from an environment object and from what is given beside it.
-
-    Returns:
-        The configuration, as far as it is known; None if nothing is known.
-    """
+    """Return what is known of a configuration, from an environment object and from what is given beside it, or None."""
     if of_env is None and given is None:
         return None
     return dict(json.loads(config_text({**(of_env or {}), **(given or {})})))

@@ -32,14 +32,8 @@ _SUBJECT: Final = ("env", "ads", "seed", "env_config", "traffic", "stochastic", 
 class RateFolder:
     """The folder of an evaluation, new or that of the same evaluation, which then goes on.
 
-    Args:
-        path: the folder.
-        config: the driver, its environment and the seed of the scenarios.
-
-    Attributes:
-        path: the folder.
-        file: the outcomes.
-        run: the run folder of the failures, if there are any.
+    The configuration says the driver, its environment and the seed of the scenarios. `run` is the run folder of the
+    failures, if there are any.
 
     Raises:
         InputError: if the folder cannot be used, or belongs to another evaluation.
@@ -64,14 +58,10 @@ class RateFolder:
         observe: Observe = lambda _: None,
         driver: ADS | None = None,
     ) -> None:
-        """Drive the first failures again as a run, which has their traces.
+        """Drive the first failures among n scenarios again as a run, which has their traces.
 
-        Args:
-            logical: logical scenario of the environment.
-            n: number of evaluated scenarios.
-            workers: see `behavexplor.campaign.opening.opened`, as for the driver and what is raised.
-            observe: function that gets the number of failures that have been driven.
-            driver: the driver, if it is an object of this process.
+        `observe` gets the number of failures that have been driven. See `behavexplor.campaign.opening.opened` for the
+        rest, and for what is raised.
         """
         found = islice(failing(self.file, logical, self._config.seed, n), MOST_STORED)
         lines = [json.dumps(scenario.to_dict(), separators=(",", ":")) + "\n" for _, scenario in found]
@@ -88,9 +78,8 @@ class RateFolder:
     def write_card(self, found: Mapping[str, Evaluation], alpha: float = ALPHA) -> dict[str, Any]:
         """Write the card as JSON and in Markdown, and return its values.
 
-        Args:
-            found: the evaluation of the driver, and those of what it is compared with, by name.
-            alpha: probability with which an interval may miss its rate.
+        The first evaluation is that of the driver, the others are what it is compared with, by name. `alpha` is the
+        probability with which an interval may miss its rate.
 
         Raises:
             InputError: if it cannot be written.

@@ -33,7 +33,7 @@ from behavexplor.execution.evaluator import simulation_of
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import EpisodeDriver
 from behavexplor.execution.simulation import Simulation
-from behavexplor.execution.start import fewest_workers, start_executor, start_in_process
+from behavexplor.execution.start import fewest_workers, start_executor
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
 from behavexplor.report.drawing import decisive_frame, draw, footage_of, save_animation
@@ -172,12 +172,7 @@ class Run:
         return stored_config(self.folder).says
 
     def _accepted(self, runs: Collection[str] = DRIVING, *, goes_on: bool = False) -> CampaignConfig:
-        """Return the configuration by which something may be executed.
-
-        Args:
-            runs: keys of the code that would be run, see `behavexplor.campaign.provenance`.
-            goes_on: whether the campaign is to go on.
-        """
+        """Return the configuration by which something may be executed that runs the code of these keys."""
         given = self._given
         consent = replace(self._consent, names=(given.name,) if given.is_named or given.driver is not None else ())
         return accepted_run(self.folder, consent, runs, goes_on=goes_on)
@@ -381,9 +376,7 @@ class Run:
 
     def _executor(self) -> Executor:
         target = self._accepted().target
-        if self._given.driver is not None:
-            return start_in_process(target, self._given.driver)
-        return start_executor(target, fewest_workers(target))
+        return start_executor(target, fewest_workers(target), driver=self._given.driver)
 
     def __len__(self) -> int:
         with closing(Store.read(self.folder)) as store:

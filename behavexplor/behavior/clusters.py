@@ -51,13 +51,8 @@ class AbstractTraces:
     def distances(self, labels: Labels) -> Floats:
         """Compute the distance of an abstract trace from each of these, `dis` of the paper's equation 9.
 
-        (Hamming distance over the common part + difference of the lengths) / the longer length, in [0, 1].
-
-        Args:
-            labels: abstract trace, shape (length,).
-
-        Returns:
-            Distances, shape (len(self),). The distance of two empty traces is 0.
+        (Hamming distance over the common part + difference of the lengths) / the longer length, in [0, 1]. That of two
+        empty traces is 0. There is one distance for each of these.
         """
         starts = self._starts[: self._count + 1]
         differing = np.empty(self._count, dtype=np.int64)
@@ -82,11 +77,8 @@ def count_differing(
 ) -> None:
     """Count the labels in which a query differs from each abstract trace, over their common part.
 
-    Args:
-        labels: labels of all abstract traces, one after the other.
-        starts: place of the first label of each abstract trace, and of the end of the last one, shape (n + 1,).
-        query: labels of the query, shape (length,).
-        differing: the numbers, shape (n,); changed in place.
+    The labels of all n abstract traces stand one after the other; `starts`, shape (n + 1,), are the places of their
+    first labels, and the end of the last one. The numbers, shape (n,), are put in `differing`.
     """
     for i in range(len(differing)):
         first = starts[i]
@@ -97,19 +89,12 @@ def count_differing(
 
 
 class Clusters(NamedTuple):
-    """Centers of clusters in scaled features. Scaling subtracts the mean of each feature, then divides by its scale.
+    """Centers of clusters in scaled features. Scaling subtracts the mean of each feature, then divides by its scale."""
 
-    Attributes:
-        centers: the centers, shape (K, features).
-        squares: the squared length of each center, shape (K,).
-        mean: the mean of each feature, shape (features,).
-        scale: the scale of each feature, shape (features,).
-    """
-
-    centers: Floats
-    squares: Floats
-    mean: Floats
-    scale: Floats
+    centers: Floats  # the centers, shape (K, features)
+    squares: Floats  # the squared length of each center, shape (K,)
+    mean: Floats  # the mean of each feature, shape (features,)
+    scale: Floats  # the scale of each feature, shape (features,)
 
     @property
     def unscaled_centers(self) -> Floats:
@@ -126,13 +111,8 @@ def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_stat
     """Find the best centers by K-means from several starts, shape (clusters, features).
 
     A single thread computes them, so that their last bits do not depend on the machine's number of threads. If there
-    are fewer distinct rows than clusters, some centers are equal, and the first of them gets the rows.
-
-    Args:
-        rows: the rows, which may be changed in their last bits, shape (n, features).
-        clusters: number of centers.
-        starts: for each start, the centers at its beginning, or the name of scikit-learn's way to choose them.
-        random_state: seed of the choices.
+    are fewer distinct rows than clusters, some centers are equal, and the first of them gets the rows. Rows, shape (n,
+    features), may be changed in their last bits. A start is centers, or the name of scikit-learn's way to choose them.
     """
     from sklearn import config_context  # noqa: PLC0415 - slow to import, needed only once a campaign runs
     from sklearn.cluster import KMeans  # noqa: PLC0415

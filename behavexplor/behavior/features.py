@@ -56,18 +56,12 @@ def known_states(heading_frame: HeadingFrame, states: NDArray[np.float32]) -> di
 
 
 def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray[np.float32]:
-    """Compute the ego's states on a grid of `TIME_STEP`, the paper's X-bar.
+    """Compute the ego's states on a grid of `TIME_STEP`, the paper's X-bar; a read-only matrix, shape (N', 8).
 
     A rate of change belongs to the frame at which the change begins, so T frames give T - 1 states before
-    interpolation.
-
-    Args:
-        trace: a trace of T frames, at any rate.
-        heading_frame: frame of the headings. With "route", they are relative to the direction of the ego's route at its
-            nearest point, so that the compass direction of a road does not matter. With "world", they are absolute.
-
-    Returns:
-        Read-only matrix with the columns of `ATTRIBUTES`, shape (N', 8). N' = 0 if the trace has a single frame.
+    interpolation; N' = 0 for a single frame. The columns are those of `ATTRIBUTES`. With "route", headings are relative
+    to the direction of the ego's route at its nearest point, so that the compass direction of a road does not matter.
+    With "world", they are absolute.
     """
     known: NDArray[np.float32] | None = vars(trace).get(f"_{heading_frame}_states")
     if known is not None:
@@ -104,15 +98,10 @@ def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padde
     is `cid_ce` of the normalized window, but 0 if the window's deviation is below `STILL`. Statistics that need more
     states than the window has are 0.
 
-    Args:
-        states: the ego's states, shape (N', 8).
-        window: the paper's w, number of states in a window.
-        tail: windows at the end of the trace. With "padded", a window begins at every state, and the last state is
-            repeated beyond the end (paper). With "cut", only the N' - w + 1 windows within the trace are used, or one
-            padded window if the trace is too short.
-
-    Returns:
-        The eight statistics of the first attribute, then of the second, and so on; shape (windows, 64).
+    The states have the shape (N', 8). With the tail "padded", a window begins at every state, and the last state is
+    repeated beyond the end (paper). With "cut", only the N' - w + 1 windows within the trace are used, or one padded
+    window if the trace is too short. The result has the eight statistics of the first attribute, then of the second,
+    and so on, shape (windows, 64).
     """
     columns = _padded_columns(states, window, tail)
     merged = np.empty((_n_windows(columns, window), N_FEATURES))
@@ -121,18 +110,10 @@ def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padde
 
 
 def nearest_clusters(states: NDArray[np.floating], window: int, tail: Tail, clusters: Clusters) -> Labels:
-    """Return the cluster that is nearest to each merged state; see `merged_states`.
+    """Return the cluster that is nearest to each merged state, shape (windows,); see `merged_states`.
 
-    The sums of the distances run in a fixed order, so that ties do not depend on the number of threads.
-
-    Args:
-        states: the ego's states, shape (N', 8).
-        window: number of states in a window.
-        tail: windows at the end of the trace.
-        clusters: clusters of merged states.
-
-    Returns:
-        Indices of clusters, the first of several that are equally near; shape (windows,).
+    The sums of the distances run in a fixed order, so that ties do not depend on the number of threads. The first of
+    several clusters that are equally near is taken.
     """
     columns = _padded_columns(states, window, tail)
     labels = np.empty(_n_windows(columns, window), dtype=np.uint8)
@@ -165,17 +146,12 @@ def fill_states(
     states: Floats,
     places: Floats,
 ) -> None:
-    """Fill in the states and the positions of the ego on an even grid of times, interpolated linearly as by NumPy.
+    """Fill in the states and the positions of the ego on an even grid of times [s], interpolated linearly as by NumPy.
 
-    Args:
-        time: time of each frame, shape (T,) [s], T >= 2.
-        position: positions of all vehicles, the ego first, shape (T, N, 2) [m].
-        velocity: velocities of all vehicles, shape (T, N, 2) [m/s].
-        motion: speed of the ego [m/s], its heading without jumps [rad], and cosine and sine of that; shape (4, T).
-        spacing: time between two states [s].
-        room: room for two states, shape (2, 8).
-        states: states, shape (N', 8); changed in place.
-        places: positions of the ego, shape (N', 2); changed in place.
+    There are T >= 2 frames. Positions [m] and velocities [m/s] are those of all vehicles, shape (T, N, 2), the ego
+    first. `motion` is the speed of the ego [m/s], its heading without jumps [rad], and cosine and sine of that, shape
+    (4, T). `room` is for two states, shape (2, 8). States, shape (N', 8), and places, shape (N', 2), are changed in
+    place.
     """
     last, t = len(time) - 1, 0
     for i in range(len(states)):
@@ -218,12 +194,9 @@ def _interpolate(time: Floats, now: float, t: int, first: Floats, second: Floats
 def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> None:
     """Fill in the statistics of each attribute in each window; see `behavexplor.behavior.features.merged_states`.
 
-    Args:
-        x: states, shape (attributes, n).
-        window: number of states in a window.
-        still: least deviation in a window that is a movement.
-        filled: the statistics of the first attribute, then of the second, and so on, shape
-            (n - window + 1, attributes * statistics); changed in place.
+    The states have the shape (attributes, n); a deviation in a window of less than `still` is no movement. The
+    statistics of the first attribute, then of the second, and so on, shape (n - window + 1, attributes * statistics),
+    are changed in place.
     """
     columns, terms = np.empty((N_STATISTICS, len(filled))), np.empty(x.shape[1])
     for j in range(len(x)):
@@ -237,12 +210,7 @@ def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> Non
 def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels: NDArray[np.uint8]) -> None:
     """Fill in the cluster whose center is nearest to the statistics of each window, the first of several.
 
-    Args:
-        x: states, shape (attributes, n).
-        window: number of states in a window.
-        still: least deviation in a window that is a movement.
-        clusters: clusters of such statistics.
-        labels: index of the nearest center for each window, shape (n - window + 1,); changed in place.
+    For states, shape (attributes, n), see `fill_statistics`. The labels, shape (n - window + 1,), are changed in place.
     """
     columns, terms = np.empty((N_STATISTICS, len(labels))), np.empty(x.shape[1])
     products = np.zeros((2, len(clusters.centers), len(labels)))  # of even and odd features
@@ -260,14 +228,10 @@ def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels
 
 @kernel_inner
 def _fill(x: Floats, window: int, still: float, terms: Floats, columns: Floats) -> None:
-    """Fill in the statistics of one attribute, shape (statistics, windows). Loops are simple, so they are fast.
+    """Fill in `columns`, the statistics of one attribute, shape (statistics, windows). Simple loops are fast.
 
-    Args:
-        x: states of the attribute, shape (n,).
-        window: number of states in a window.
-        still: least deviation in a window that is a movement.
-        terms: room for intermediate results, shape (n,).
-        columns: the statistics; changed in place.
+    `x` are its states, shape (n,); a deviation in a window of less than `still` is no movement. `terms` is room for
+    intermediate results, shape (n,).
     """
     count = columns.shape[1]
     columns[:] = 0.0

@@ -42,31 +42,21 @@ NOVELTY_THRESHOLD = 0.4  # the paper's theta_c
 
 @validated
 class MinerOptions:
-    """Options for abstracting behaviors. The defaults are the paper's values, where it states them.
+    """Options for abstracting behaviors. The defaults are the paper's values, where it states them."""
 
-    Attributes:
-        window: the paper's w, number of states of 0.1 s in a merged state.
-        tail: windows at the end of a trace: "padded" with repetitions of its last state (paper), or "cut".
-        heading_frame: frame of the headings, the ego's "route" or the "world".
-        clusters: the paper's K, number of abstract states.
-        scaling: scaling of features before clustering. "zscore" scales every feature to deviation 1, unless it hardly
-            varies at all. With "none", a few features with large values dominate.
-        refit_growth: relative growth of the number of behaviors after which the clusters are refitted. With 0, they are
-            refitted after every novel behavior (paper). The default keeps the cost of an execution constant. Its
-            novelty decisions agree with the paper's rule more often than two random states of that rule agree with each
-            other.
-        sample_size: greatest number of merged states to which clusters are fitted, a uniform sample of all.
-        random_state: seed of the clustering and of the sample.
-    """
-
-    window: Annotated[int, between(1)] = 10
-    tail: Tail = "padded"
-    heading_frame: HeadingFrame = "route"
-    clusters: Annotated[int, between(1, MAX_CLUSTERS)] = 10
+    window: Annotated[int, between(1)] = 10  # the paper's w, number of states of 0.1 s in a merged state
+    tail: Tail = "padded"  # windows at the end of a trace: "padded" with its last state (paper), or "cut"
+    heading_frame: HeadingFrame = "route"  # frame of the headings, the ego's "route" or the "world"
+    clusters: Annotated[int, between(1, MAX_CLUSTERS)] = 10  # the paper's K, number of abstract states
+    # scaling of features before clustering. "zscore" scales every feature to deviation 1, unless it hardly varies at
+    # all. With "none", a few features with large values dominate.
     scaling: Scaling = "zscore"
+    # relative growth of the number of behaviors after which the clusters are refitted. With 0, they are refitted after
+    # every novel behavior (paper). The default keeps the cost of an execution constant. Its novelty decisions agree
+    # with the paper's rule more often than two random states of that rule agree with each other.
     refit_growth: Annotated[float, between(0)] = 0.25
-    sample_size: Annotated[int, between(1, 1_000_000)] = 20_000
-    random_state: Annotated[int, between(0, 2**32 - 1)] = 0
+    sample_size: Annotated[int, between(1, 1_000_000)] = 20_000  # most merged states that are fitted, a uniform sample
+    random_state: Annotated[int, between(0, 2**32 - 1)] = 0  # seed of the clustering and of the sample
 
     def __post_init__(self) -> None:
         if self.sample_size < self.clusters:
@@ -75,17 +65,11 @@ class MinerOptions:
 
 @dataclass(frozen=True)
 class Behavior:
-    """The ego's behavior in one trace.
+    """The ego's behavior in one trace."""
 
-    Attributes:
-        states: the paper's X-bar, shape (N', 8).
-        window: the paper's w, number of states in a window.
-        tail: windows at the end of the trace, see `behavexplor.behavior.features.merged_states`.
-    """
-
-    states: NDArray[np.float32]
-    window: int
-    tail: Tail
+    states: NDArray[np.float32]  # the paper's X-bar, shape (N', 8)
+    window: int  # the paper's w, number of states in a window
+    tail: Tail  # windows at the end of the trace, see `behavexplor.behavior.features.merged_states`
 
     @cached_property
     def merged(self) -> Floats:
@@ -207,14 +191,9 @@ class _Sample:
 def standardize(sample: NDArray[np.float32], least: Floats, mean: Floats, scale: Floats, rows: Floats) -> None:
     """Fill in the mean and the deviation of each feature, and the rows with mean 0 and deviation 1.
 
-    The sums run in the order of the rows, as in numpy.
-
-    Args:
-        sample: the features, shape (n, features), n > 0.
-        least: least scale of each feature, in place of a smaller deviation, shape (features,).
-        mean: zeros, shape (features,); changed in place.
-        scale: zeros, shape (features,); changed in place.
-        rows: the standardized features, shape (n, features); changed in place.
+    The sums run in the order of the rows, as in numpy. The sample has the shape (n, features), n > 0. A deviation below
+    `least`, shape (features,), is replaced by it. `mean` and `scale`, zeros of that shape, and `rows` are changed in
+    place.
     """
     count, width = sample.shape
     for i in range(count):
@@ -278,15 +257,11 @@ def _close(file: IO[bytes]) -> None:
 class NoveltyOptions:
     """Options that define distinct behaviors.
 
-    Attributes:
-        threshold: least distance between distinct behaviors, exclusive.
-        miner: options for abstracting behaviors.
-
     Raises:
         InputError: if the threshold is not in [0, 1].
     """
 
-    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD
+    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # least distance between distinct ones, exclusive
     miner: MinerOptions = field(default_factory=MinerOptions)
 
 

@@ -224,10 +224,6 @@ class ExperimentRunner:
 
     It executes `jobs` runs at a time; on a cluster, that is the number of nodes, or 0 for one for each core. Each run
     has `workers` processes that execute its scenarios; with 0, its own process does.
-
-    Attributes:
-        progress: progress of the experiment.
-        stopping: whether `stop` has been called.
     """
 
     def __init__(self, runs: Sequence[PlannedRun], root: Path, jobs: int, workers: int, cluster: str = "") -> None:
@@ -241,7 +237,7 @@ class ExperimentRunner:
         self._start = time.monotonic()
         self._open = {run: int(run.config.budget) - states[run].executions for run in self._waiting}
         self.progress = ExperimentProgress(len(runs), finished=len(runs) - len(self._waiting))
-        self.stopping = False
+        self.stopping = False  # whether `stop` has been called
 
     def stop(self) -> None:
         """End the running campaigns, each after its current execution."""

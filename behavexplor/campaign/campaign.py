@@ -62,23 +62,9 @@ class _Pending:
 
 
 class Campaign:
-    """One campaign in its run folder.
+    """One campaign in its run folder. What the store already holds is not repeated.
 
-    Args:
-        config: configuration of the campaign.
-        method: search method, see `search_method`.
-        logical: logical scenario, which defines the possible scenarios.
-        store: store of the executions. Executions that it already holds are not repeated.
-        executor: executor of scenarios, see `behavexplor.execution.evaluator.Evaluator`.
-        specs: requirements that judge each execution.
-        stop_after: number of failures after which the campaign stops; None for no such number.
-        judges: processes that judge in place of this one, by the built-in specs; None for none.
-
-    Attributes:
-        clock: clock of its stages.
-        logical: its logical scenario.
-        progress: progress of the campaign.
-        stopping: whether `stop` has been called.
+    After `stop_after` failures it stops. `judges` judge in place of this process, by the built-in specs.
     """
 
     def __init__(
@@ -110,7 +96,7 @@ class Campaign:
         self._start = time.monotonic() - store.elapsed
         self._committed = time.monotonic()
         self.progress = Progress(violations={spec.name: 0 for spec in specs}, earlier=store.elapsed)
-        self.stopping = False
+        self.stopping = False  # whether `stop` has been called
 
     def stop(self) -> None:
         """End the campaign after the current execution."""
@@ -119,11 +105,8 @@ class Campaign:
     def run(self, observe: Callable[[Progress], None]) -> str | None:
         """Run until the budget is used up, enough failures have been found, or `stop` is called.
 
-        Args:
-            observe: function that is called with the progress whenever executions have been stored.
-
-        Returns:
-            A sentence on why the search ended before its budget was used up; None if it did not.
+        `observe` is called whenever executions have been stored. Return a sentence on why the search ended before its
+        budget was used up; None if it did not.
 
         Raises:
             ExecutionError: if an execution could not be carried out.
@@ -176,9 +159,7 @@ class Campaign:
         """Let highway-env itself execute the first failures of each class, once the campaign has ended.
 
         They do not depend on the number of workers. If the user stops the campaign, the rest is left to its resumption.
-
-        Args:
-            observe: function that is called with the number of failures that are done.
+        `observe` gets the number of failures that are done.
 
         Raises:
             ExecutionError: if one could not be executed.

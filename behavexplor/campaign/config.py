@@ -29,15 +29,10 @@ _LONGEST: Final = 40  # part of the name of a run folder [characters]
 
 @dataclass(frozen=True)
 class Budget:
-    """Budget of a campaign: a number of executions, or a running time.
+    """Budget of a campaign: a number of executions, or a running time."""
 
-    Attributes:
-        executions: number of executions; None if the budget is a time.
-        seconds: running time [s]; None if the budget is a number of executions.
-    """
-
-    executions: int | None = None
-    seconds: float | None = None
+    executions: int | None = None  # number of executions; None if the budget is a time
+    seconds: float | None = None  # running time [s]; None if the budget is a number of executions
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -121,23 +116,14 @@ class StoredConfig:
     """What a run folder says its campaign is. Anyone may have written it, so it may be shown and compared only.
 
     To execute something by it, make a configuration of it with `behavexplor.campaign.provenance.accepted`.
-
-    Attributes:
-        folder: the run folder.
-        says: the configuration in it.
     """
 
     folder: Path
-    says: CampaignConfig
+    says: CampaignConfig  # the configuration in it
 
 
 def check_said_twice(values: Mapping[str, Any], given: Mapping[str, Any], file: str) -> None:
     """Check that what a file says of trust and confinement stands on the command line, too. It does not count alone.
-
-    Args:
-        values: what the file says, by key.
-        given: what the command line says, by key.
-        file: name of the file for the message.
 
     Raises:
         InputError: if something does not; the message names the flag.
@@ -163,10 +149,7 @@ def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
 
 
 def read_config(name: str) -> dict[str, Any]:
-    """Read the values in the configuration file of a campaign.
-
-    Args:
-        name: path of a YAML file, or name of a preset in `configs/`, such as "paper".
+    """Read the values in the YAML file of a campaign, or in a preset in `configs/`, such as "paper".
 
     Raises:
         InputError: if there is no such file, or if it holds no mapping.
@@ -196,11 +179,7 @@ def stored_config(run: Path) -> StoredConfig:
 
 
 def check_revision(config: CampaignConfig, what: str) -> None:
-    """Refuse a campaign that this version of the program would continue differently.
-
-    Args:
-        config: configuration of the campaign.
-        what: name of the campaign for the message, such as its run folder.
+    """Refuse a campaign that this version would continue differently; `what` names it, such as by its run folder.
 
     Raises:
         InputError: if the campaign has another revision.

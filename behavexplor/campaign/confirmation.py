@@ -32,16 +32,12 @@ _ENDED: Final = ("hang", "crash")  # kinds of errors that end a process, and say
 
 @dataclass(frozen=True)
 class Confirmation:
-    """What came out when highway-env itself executed the scenario of a failure.
+    """What came out when highway-env itself executed the scenario of a failure."""
 
-    Attributes:
-        state: "confirmed"; "disagrees", an error of this package; or "changes" if the driving system itself does not
-            drive the scenario in the same way twice.
-        words: how the two executions differ; empty if they do not.
-    """
-
+    # "confirmed"; "disagrees", an error of this package; or "changes" if the driving system itself does not drive the
+    # scenario in the same way twice
     state: Literal["confirmed", "disagrees", "changes"]
-    words: str = ""
+    words: str = ""  # how the two executions differ; empty if they do not
 
     def said_of(self, number: int) -> str:
         """Return a sentence on the failure in an execution of that number."""
@@ -53,13 +49,7 @@ class Confirmation:
 
 
 def unconfirmed(config: CampaignConfig, run: Path, records: Iterable[Record]) -> list[int]:
-    """Return the numbers of the failures that are to be confirmed without being asked for, and have not been tried.
-
-    Args:
-        config: configuration of the run.
-        run: the run folder.
-        records: all records of the run, in order.
-    """
+    """Return the numbers of the failures that are to be confirmed without being asked for, and have not been tried."""
     seen: Counter[str | None] = Counter()
     chosen = []
     for record in records if config.confirm else ():
@@ -77,12 +67,7 @@ def can_be_confirmed(record: Record) -> bool:
 
 
 def difference(recorded: Trace | Mapping[str, str], other: Trace | Mapping[str, str]) -> str | None:
-    """Return how another execution of a scenario differs from the recorded one; None if it does not.
-
-    Args:
-        recorded: trace of an execution, or the driving system's failure in it as a record has it.
-        other: the same of another execution.
-    """
+    """Return how two executions differ; None if not. Each is a trace, or the driver's failure as a record has it."""
     if not (isinstance(recorded, Trace) and isinstance(other, Trace)):
         errors = [None if isinstance(one, Trace) else one["kind"] for one in (recorded, other)]
         words = [one["message"] for one in (recorded, other) if not isinstance(one, Trace)]

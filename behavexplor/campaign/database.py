@@ -32,19 +32,12 @@ _INSERT = (
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the database: one stored execution.
-
-    Attributes:
-        id: number of the execution.
-        record: record as JSON.
-        trace: trace as bytes; empty if it was not read.
-        elapsed: running time of the campaign up to the execution [s].
-    """
+    """A row of the database: one stored execution."""
 
     id: int
-    record: bytes
-    trace: bytes
-    elapsed: float
+    record: bytes  # record as JSON
+    trace: bytes  # trace as bytes; empty if it was not read
+    elapsed: float  # running time of the campaign up to the execution [s]
 
 
 class DamagedError(Exception):
@@ -132,10 +125,8 @@ class ExecutionTable:
     def rows(self, *, traces: bool) -> Iterator[tuple[int, Row | None]]:
         """Yield all numbers in order, each with its row, or with None for a damaged or missing row.
 
-        If the number of rows is unknown, the last number is that of the first row that is lost at the end.
-
-        Args:
-            traces: whether to read the traces, too.
+        If the number of rows is unknown, the last number is that of the first row that is lost at the end. Rows have
+        traces if these are to be read.
         """
         lost: list[int] = []
         for number, found in self._found(_WHOLE if traces else _BRIEF):
@@ -212,8 +203,7 @@ def is_whole(path: Path) -> bool:
 def rebuild(path: Path) -> tuple[int, Path]:
     """Copy the readable rows of a damaged database into a new one, and keep the damaged file under another name.
 
-    Returns:
-        The number of rows that could be read, and the new path of the damaged file.
+    Return the number of rows that could be read, and the new path of the damaged file.
 
     Raises:
         OSError: if the folder cannot be written.

@@ -46,11 +46,7 @@ LOCK = "campaign.lock"
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:
-    """Open a database.
-
-    Args:
-        path: path of the file.
-        mode: "ro" to read, "rw" to read and write, "rwc" to also create a missing file.
+    """Open a database to read ("ro"), to read and write ("rw"), or to also create a missing file ("rwc").
 
     Raises:
         sqlite3.Error: if the file cannot be opened.

@@ -13,17 +13,11 @@ NOTE: Final = "driver"  # name of the note in the store
 
 @dataclass(frozen=True)
 class Identity:
-    """The files and libraries that decide how a driving system drives in a campaign.
+    """The files and libraries that decide how a driving system drives in a campaign."""
 
-    Attributes:
-        digests: SHA-256 of the files of a policy and of the modules that the configuration names, by name.
-        libraries: versions of the libraries that compute results, by name.
-        folder: working directory when the campaign began, from which the path of a policy is meant.
-    """
-
-    digests: Mapping[str, str] = field(default_factory=dict)
-    libraries: Mapping[str, str] = field(default_factory=dict)
-    folder: str = ""
+    digests: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of the files of policy and named code, by name
+    libraries: Mapping[str, str] = field(default_factory=dict)  # versions of libraries that compute results, by name
+    folder: str = ""  # working directory when the campaign began, from which the path of a policy is meant
 
     @classmethod
     def from_json(cls, text: bytes) -> Self | None:

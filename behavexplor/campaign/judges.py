@@ -55,10 +55,8 @@ class JudgeService(Service):
 class Judges:
     """Processes that judge the traces of a campaign, which arrive one by one and are judged in groups.
 
-    A group begins as soon as a process is free, with all traces that have arrived until then.
-
-    Args:
-        n_workers: number of processes that drive; 0 for no judges.
+    A group begins as soon as a process is free, with all traces that have arrived until then. There are none if no
+    workers drive.
     """
 
     def __init__(self, n_workers: int) -> None:
@@ -123,20 +121,15 @@ class Judges:
             for judging, _ in group:
                 if not judging.done():
                     judging.set_exception(error)
-            return
         self._send()
 
 
 def judged(data: bytes) -> bytes:
-    """Judge a trace by the built-in specs.
+    """Judge the bytes of a trace by the built-in specs.
 
-    Args:
-        data: the trace as bytes.
-
-    Returns:
-        A line of JSON with the figures of a `behavexplor.campaign.judgment.Judgment`, and the ego's states as float32,
-        see `behavexplor.behavior.features.state_matrix`; or a line with a text in place of the figures if the bytes are
-        no trace, which is the failure of the driver.
+    Return a line of JSON with the figures of a `behavexplor.campaign.judgment.Judgment`, and the ego's states as
+    float32, see `behavexplor.behavior.features.state_matrix`; or a line with a text in place of the figures if the
+    bytes are no trace, which is the failure of the driver.
     """
     try:
         found = judgment(data, None, SPECS)

@@ -22,27 +22,16 @@ _ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # memory address of an object, which d
 
 @dataclass(frozen=True)
 class Judgment:
-    """An execution with its judgment.
-
-    Attributes:
-        data: the trace as bytes.
-        trace: the trace.
-        end: kind of its end.
-        duration: its duration [s].
-        verdict: the verdict of the specs.
-        violation_class: id of the failure's class; None for a passed execution.
-        fault: who was at fault in a collision, as stored in a record.
-        failure: how the ADS failed, as stored in a record; None if it did not.
-    """
+    """An execution with its judgment."""
 
     data: bytes
     trace: Trace
     end: str
-    duration: float
+    duration: float  # its duration [s]
     verdict: Verdict
-    violation_class: str | None
-    fault: str | None
-    failure: dict[str, str] | None
+    violation_class: str | None  # id of the failure's class; None for a passed execution
+    fault: str | None  # who was at fault in a collision, as stored in a record
+    failure: dict[str, str] | None  # how the ADS failed, as stored in a record; None if it did not
 
 
 def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec]) -> Judgment:
@@ -107,10 +96,7 @@ def repeat_execution(executor: Executor, execution: Execution) -> Repetition:
 def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Iterator[Confirmation]:
     """Let highway-env itself execute the scenarios of failures, several at a time; write and yield what comes out.
 
-    Args:
-        executor: executor of the target of the run.
-        store: store of the run.
-        numbers: numbers of the failures, see `behavexplor.campaign.confirmation.can_be_confirmed`.
+    Only some can be, see `behavexplor.campaign.confirmation.can_be_confirmed`.
 
     Raises:
         RuntimeError: if a scenario could not be executed.
@@ -127,10 +113,7 @@ def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Itera
 def confirmation(executor: Executor, execution: Execution, original: "Future[bytes] | None" = None) -> Confirmation:
     """Compare an execution with that of highway-env; if they differ, also with one more of the kind that it was.
 
-    Args:
-        executor: executor of the target of the run.
-        execution: the execution, see `behavexplor.campaign.confirmation.can_be_confirmed`.
-        original: its execution in highway-env, if that has begun.
+    `original` is its execution in highway-env, if that has begun.
     """
     original = original or executor.submit(ORIGINAL, execution.scenario.to_json().encode())
     recorded = execution.record.error or execution.load_trace()

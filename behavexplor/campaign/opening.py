@@ -31,7 +31,7 @@ from behavexplor.execution.executor import LOCK_STEP, Executor
 from behavexplor.execution.forkserver import share_imports
 from behavexplor.execution.service import Recipe
 from behavexplor.execution.simulation import fixed_logical_scenario
-from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
+from behavexplor.execution.start import check_ads, logical_of_target, start_executor
 from behavexplor.fuzz.methods import load_method
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
@@ -39,17 +39,11 @@ from behavexplor.judge.specs import judge
 
 @dataclass(frozen=True)
 class Ready:
-    """A campaign that is ready to run.
-
-    Attributes:
-        campaign: the campaign.
-        store: store of its run folder.
-        warnings: warnings about the ADS, each of them a sentence.
-    """
+    """A campaign that is ready to run."""
 
     campaign: Campaign
     store: Store
-    warnings: list[str]
+    warnings: list[str]  # warnings about the ADS, each of them a sentence
 
 
 @contextmanager
@@ -99,11 +93,7 @@ def opened(
     search = None if logical is None else search_method(config, logical)
     with ExitStack() as stack:
         with patience or nullcontext():
-            executor = (
-                start_executor(config.target, workers, cluster, recipe)
-                if driver is None
-                else start_in_process(config.target, driver, recipe)
-            )
+            executor = start_executor(config.target, workers, cluster, recipe, driver)
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor, meanwhile=load_analysis) + _of_idle_workers(config, workers)
         logical = logical or logical_of_target(executor, config.env)
@@ -200,12 +190,7 @@ Handler = Callable[[int, FrameType | None], object] | signal.Handlers
 
 @contextmanager
 def stopped_by_signals(stop: Callable[[], None], again: Handler) -> Iterator[None]:
-    """Make the first Ctrl-C (or SIGTERM) stop the code in this context cleanly, and the second one at once.
-
-    Args:
-        stop: function that is called on the first signal.
-        again: handler of the second signal.
-    """
+    """Make the first Ctrl-C (or SIGTERM) call `stop`, which ends this code cleanly, and the second one call `again`."""
 
     def first(number: int, _frame: FrameType | None) -> None:
         stop()

@@ -68,35 +68,23 @@ class ClassSummary:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a campaign. Every execution that is counted here is on disk.
-
-    Attributes:
-        executions: number of stored executions.
-        failed: number of failed executions.
-        violations: numbers of failures by the most severe spec that they violate. R1 comes before R2 and R3, because a
-            collision also keeps the ego from its destination. "error" counts failures of the ADS itself.
-        examples: numbers of the first failures of each of these specs, at most `LISTED`.
-        classes: the classes of failures by their ids. Each class is a unique violation.
-        novel: number of executions with a behavior that was new to the campaign.
-        elapsed: running time, including the time before an interruption [s].
-        earlier: running time before the interruption [s].
-        executing: time since then that was spent waiting for executions [s].
-        resumed: number of executions that were taken from an earlier run.
-        method: figures of the search method by name.
-        last: number of the latest execution that was "novel", had a new "class", or counts for a spec, by these names.
-    """
+    """Progress of a campaign. Every execution that is counted here is on disk."""
 
     executions: int = 0
     failed: int = 0
+    # numbers of failures by the most severe spec that they violate. R1 comes before R2 and R3, because a collision also
+    # keeps the ego from its destination. "error" counts failures of the ADS itself.
     violations: Mapping[str, int] = field(default_factory=dict)
+    # numbers of the first failures of each of these specs, at most `LISTED`
     examples: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    classes: Mapping[str, ClassSummary] = field(default_factory=dict)
-    novel: int = 0
-    elapsed: float = 0.0
-    earlier: float = 0.0
-    executing: float = 0.0
-    resumed: int = 0
-    method: Mapping[str, float] = field(default_factory=dict)
+    classes: Mapping[str, ClassSummary] = field(default_factory=dict)  # by their ids; each is a unique violation
+    novel: int = 0  # number of executions with a behavior that was new to the campaign
+    elapsed: float = 0.0  # running time, including the time before an interruption [s]
+    earlier: float = 0.0  # running time before the interruption [s]
+    executing: float = 0.0  # time since then that was spent waiting for executions [s]
+    resumed: int = 0  # number of executions that were taken from an earlier run
+    method: Mapping[str, float] = field(default_factory=dict)  # figures of the search method by name
+    # number of the latest execution that was "novel", had a new "class", or counts for a spec, by these names
     last: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -131,18 +119,11 @@ class Progress:
 
 
 class StageClock:
-    """A clock that adds up the time in each stage.
-
-    Args:
-        earlier: time in each stage before the campaign was resumed [s].
-
-    Attributes:
-        seconds: time in each stage since this clock was made [s].
-    """
+    """A clock that adds up the time in each stage, `earlier` before the campaign was resumed [s]."""
 
     def __init__(self, earlier: Mapping[str, float] = MappingProxyType({})) -> None:
         self._earlier = earlier
-        self.seconds = dict.fromkeys(map(str, Stage), 0.0)
+        self.seconds = dict.fromkeys(map(str, Stage), 0.0)  # time in each stage since this clock was made [s]
 
     @contextmanager
     def during(self, stage: Stage) -> Iterator[None]:

@@ -41,18 +41,13 @@ _FLAGS: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 class Consent:
     """What the user agrees to on this command line, or in this call.
 
-    Attributes:
-        trust: digests ("sha256:...") of folders and of policy files.
-        unconfined: whether drivers may write files and use the network.
-        names: names of code that the user has given, such as "my_driver:MyDriver".
-
     Raises:
         InputError: if a digest has a wrong form.
     """
 
-    trust: tuple[str, ...] = ()
-    unconfined: bool = False
-    names: tuple[str, ...] = ()
+    trust: tuple[str, ...] = ()  # digests ("sha256:...") of folders and of policy files
+    unconfined: bool = False  # whether drivers may write files and use the network
+    names: tuple[str, ...] = ()  # names of code that the user has given, such as "my_driver:MyDriver"
 
     def __post_init__(self) -> None:
         check_digests(self.trust)
@@ -60,23 +55,14 @@ class Consent:
 
 @dataclass(frozen=True)
 class Claim:
-    """What a folder says that may have code run.
+    """What a folder says that may have code run."""
 
-    Attributes:
-        place: the file that says it.
-        values: the whole configuration as plain values, of which digests are made.
-        code: the code that it names.
-        policy: name of the driver. If it is a policy file, this file is part of the digests.
-        asks: whether it says something of trust or confinement.
-        hint: another way to agree, for the message.
-    """
-
-    place: Path
-    values: Mapping[str, Any]
+    place: Path  # the file that says it
+    values: Mapping[str, Any]  # the whole configuration as plain values, of which digests are made
     code: tuple[Code, ...]
-    policy: str = ""
-    asks: bool = False
-    hint: str = ""
+    policy: str = ""  # name of the driver. If it is a policy file, this file is part of the digests.
+    asks: bool = False  # whether it says something of trust or confinement
+    hint: str = ""  # another way to agree, for the message
 
     def digests(self, *parts: Sequence[Code]) -> tuple[dict[str, str], list[str]]:
         """Return the digests of all modules, and for each part of the code that of the folder with this part."""
@@ -87,28 +73,18 @@ class Claim:
 
 @dataclass(frozen=True)
 class Permission:
-    """What may be done as a folder says.
+    """What may be done as a folder says."""
 
-    Attributes:
-        is_own: whether what the folder says of trust and confinement counts.
-        modules: digests of the modules that it names and that workers import.
-        digests: digests of the folder, where they were needed.
-    """
-
-    is_own: bool = False
-    modules: Mapping[str, str] = field(default_factory=dict)
-    digests: tuple[str, ...] = ()
+    is_own: bool = False  # whether what the folder says of trust and confinement counts
+    modules: Mapping[str, str] = field(default_factory=dict)  # digests of the named modules that workers import
+    digests: tuple[str, ...] = ()  # digests of the folder, where they were needed
 
 
 @dataclass(frozen=True)
 class AcceptedConfig(CampaignConfig):
-    """The configuration of a run folder, by which something may be executed; `accepted` makes it.
+    """The configuration of a run folder, by which something may be executed; `accepted` makes it."""
 
-    Attributes:
-        modules: see `Permission.modules`.
-    """
-
-    modules: Mapping[str, str] = field(default_factory=dict)
+    modules: Mapping[str, str] = field(default_factory=dict)  # see `Permission.modules`
 
     @property
     def target(self) -> CheckedTarget:
@@ -117,24 +93,13 @@ class AcceptedConfig(CampaignConfig):
 
 
 def digest_of(values: Mapping[str, Any], modules: Mapping[str, str], policy: Sequence[tuple[str, str]] = ()) -> str:
-    """Return the digest of a configuration and of files, "sha256:...".
-
-    Args:
-        values: the configuration as plain values.
-        modules: digests of the files of modules, by module.
-        policy: names and digests of the files of a policy.
-    """
+    """Return the digest "sha256:..." of a configuration as plain values, and of files by their names and digests."""
     text = json.dumps([values, modules, policy], sort_keys=True, default=str)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
 def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = ALL) -> Permission:
-    """Check that what a folder names may be run, and import what this process needs of it.
-
-    Args:
-        claim: what the folder says.
-        consent: what the user agrees to.
-        runs: keys of the code that would be run.
+    """Check that what a folder names may be run, and import what this process needs of it: the code of the keys `runs`.
 
     Raises:
         InputError: if something would be run that the user has not agreed to; the message says what, and how to agree.
@@ -210,8 +175,7 @@ def own_digests(claim: Claim) -> tuple[str, ...]:
 def remember(digests: Iterable[str]) -> str | None:
     """Write durably that a folder is this machine's, before the folder can be found, so that it can be continued.
 
-    Returns:
-        A warning if that is not possible; None if it is.
+    Return a warning if that is not possible.
     """
     try:
         for digest in dict.fromkeys(digests):

@@ -109,17 +109,11 @@ _KEYS: Final = {"violation_class": "class"}  # of a record in JSON, where they a
 
 @dataclass
 class Losses:
-    """Data that a run folder has lost.
+    """Data that a run folder has lost."""
 
-    Attributes:
-        damaged: numbers of executions that are damaged or missing.
-        cut_off: whether an unknown number of executions after the last of them is lost, too.
-        files: numbers of failed executions whose file is missing.
-    """
-
-    damaged: list[int] = field(default_factory=list)
-    cut_off: bool = False
-    files: list[int] = field(default_factory=list)
+    damaged: list[int] = field(default_factory=list)  # numbers of executions that are damaged or missing
+    cut_off: bool = False  # whether an unknown number of executions after the last of them is lost, too
+    files: list[int] = field(default_factory=list)  # numbers of failed executions whose file is missing
 
     def sentences(self, folder: Path) -> list[str]:
         """Return a sentence for each kind of loss."""

@@ -32,11 +32,7 @@ def identity_of(config: CampaignConfig) -> Identity:
 
 
 def driver_digests(ads: str, code: Iterable[Code]) -> dict[str, str]:
-    """Return SHA-256 of the files of a policy, and of the modules of code, by name.
-
-    Args:
-        ads: name of the driving system.
-        code: the code that is named beside it.
+    """Return SHA-256 of the files of a policy, and of the modules of code that is named beside it, by name.
 
     Raises:
         InputError: if a file cannot be read.
@@ -67,13 +63,8 @@ def check_identity(store: Store, now: Identity) -> None:
 def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on: bool = False) -> AcceptedConfig:
     """Return the configuration of a run, by which something may be executed. Its policy is found from any folder.
 
-    A warning is issued if the driver is not the one with which the run began.
-
-    Args:
-        run: the run folder.
-        consent: what the user agrees to.
-        runs: keys of the code that would be run, see `behavexplor.campaign.provenance.accepted`.
-        goes_on: whether the campaign is to go on, which another driver must not.
+    A warning is issued if the driver is not the one with which the run began, and a campaign that `goes_on` is refused.
+    `runs` are keys of the code that would be run, see `behavexplor.campaign.provenance.accepted`.
 
     Raises:
         InputError: see `behavexplor.campaign.provenance.accepted`; also if the file of its policy has gone, or the
@@ -108,11 +99,7 @@ def _another(run: Path, changed: str) -> InputError:
 
 
 def _found(config: CampaignConfig, begun: Identity) -> str:
-    """Return the name of a campaign's driver, from this working directory.
-
-    Raises:
-        InputError: if it is a policy whose file has gone.
-    """
+    """Return the name of a campaign's driver, from this working directory."""
     if all(name.startswith(MODULE) for name in begun.digests) or Path(config.ads).exists():  # it is no file
         return config.ads
     there = Path(begun.folder) / config.ads

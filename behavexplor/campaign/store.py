@@ -32,17 +32,11 @@ _UNFINISHED = {LOCK, f"{CONFIG}.part"}  # files that a run may leave if it is ki
 
 @dataclass(frozen=True)
 class Execution:
-    """One stored execution.
-
-    Attributes:
-        record: record of the execution.
-        trace: trace as bytes, see `behavexplor.data.trace.Trace.from_bytes`.
-        elapsed: running time of the campaign up to the execution [s].
-    """
+    """One stored execution."""
 
     record: Record
-    trace: bytes
-    elapsed: float
+    trace: bytes  # trace as bytes, see `behavexplor.data.trace.Trace.from_bytes`
+    elapsed: float  # running time of the campaign up to the execution [s]
 
     @property
     def id(self) -> int:
@@ -63,16 +57,13 @@ class Store:
     """The executions of one run folder.
 
     Use `create`, `reopen` or `read` to make one. Added executions only count once they are committed.
-
-    Attributes:
-        folder: the run folder.
-        repaired: sentence on how a damaged database was repaired when the run was reopened; None without damage.
     """
 
     def __init__(
         self, folder: Path, connection: sqlite3.Connection, lock: IO[str] | None = None, repaired: str | None = None
     ) -> None:
         self.folder = folder
+        # sentence on how a damaged database was repaired when the run was reopened; None without damage
         self.repaired = repaired
         self._connection = connection
         self._table = database.ExecutionTable(folder / DATABASE, connection)
@@ -210,14 +201,7 @@ class Store:
         return len(self._pending)
 
     def commit(self, stages: Mapping[str, float] = MappingProxyType({})) -> list[Execution]:
-        """Write the added executions to disk, and each failed one also to a file of its own.
-
-        Args:
-            stages: time in each stage so far [s], see `stages`.
-
-        Returns:
-            The executions that were written.
-        """
+        """Write the added executions to disk, each failed one also to a file of its own, and return them."""
         if not self.folder.is_dir():  # SQLite would go on writing to a file without a name
             raise FileNotFoundError(f"{self.folder} was deleted")
         rows = []
@@ -253,9 +237,7 @@ class Store:
     def records(self, losses: Losses | None = None) -> Iterator[Record]:
         """Yield the records of all committed executions in order, without reading traces.
 
-        Args:
-            losses: collects the losses of a damaged folder, so that damaged records are skipped; None to raise an error
-                instead.
+        Damaged records are skipped and noted in `losses`, if these are given.
 
         Raises:
             InputError: if a record is damaged and `losses` is None.

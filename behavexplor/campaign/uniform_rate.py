@@ -22,15 +22,10 @@ _NOTE: Final = "uniform"  # in the store
 
 @dataclass(frozen=True)
 class UniformRate:
-    """How many of some uniformly drawn scenarios failed.
-
-    Attributes:
-        n: number of scenarios.
-        failed: number of those that failed.
-    """
+    """How many of some uniformly drawn scenarios failed."""
 
     n: int
-    failed: int
+    failed: int  # number of those that failed
 
     @property
     def rate(self) -> float:
@@ -74,13 +69,7 @@ def own_rate(
     """Return the driver's own failure rate as far as a run tells it; None if it does not.
 
     Uniform draws tell it if their number was chosen before. A run that ended at a failure has too many of these.
-
-    Args:
-        method: search method of the run.
-        executions: number of its executions.
-        failed: number of its failures.
-        budget: its budget.
-        beside: rate of uniformly drawn scenarios beside it, see `UniformRate.stored`.
+    `beside` is the rate of uniformly drawn scenarios beside the run, see `UniformRate.stored`.
     """
     if method in INDEPENDENT:
         return UniformRate(executions, failed) if executions and executions >= (budget.executions or 0) else None
@@ -88,12 +77,7 @@ def own_rate(
 
 
 def explained(method: str, rate: UniformRate | None) -> str:
-    """Return a sentence that says which number is the driver's own failure rate.
-
-    Args:
-        method: search method of the run.
-        rate: see `own_rate`.
-    """
+    """Return a sentence that says which number is the driver's own failure rate; see `own_rate`."""
     if rate is None and method in INDEPENDENT:
         return "The run ended before its budget was used up, so its share of failures is not the driver's failure rate."
     if rate is None:

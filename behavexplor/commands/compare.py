@@ -108,11 +108,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
 
 
 def _check(margin: float | None, first: str, second: str) -> None:
-    """Check what does not depend on anything that is loaded.
-
-    Raises:
-        InputError: if the margin is out of range, or there is no driver of that name.
-    """
+    """Check what does not depend on anything that is loaded."""
     if margin is not None and not 0.0 < margin < 1.0:
         raise InputError(f"--margin {margin} must lie between 0 and 1, such as 0.01 for one point")
     for name in (first, second):

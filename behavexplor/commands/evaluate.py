@@ -149,11 +149,7 @@ def _ranked(policies: Path, out: Path | None, given: dict[str, Any], outcome: st
 
 
 def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None:
-    """Return what is to be decided; None without a flag that asks for it.
-
-    Raises:
-        InputError: if both flags are given, or a value is out of range.
-    """
+    """Return what is to be decided; None without a flag that asks for it."""
     known = (ARRIVED, *(spec.name for spec in SPECS), AT_FAULT, FAILED)
     if outcome not in known:
         raise unknown_name("outcome", outcome, known)

@@ -19,11 +19,7 @@ _worker: list[int] = []  # the process in which it is called, if that is a worke
 
 
 def share_asking(flag: Any) -> None:
-    """Set the flag that tells another process whether this process is calling the ADS.
-
-    Args:
-        flag: object whose `value` is set to 1 during a call of the ADS, and to 0 otherwise.
-    """
+    """Set the flag whose `value` tells another process, as 1 or 0, whether this process is calling the ADS."""
     _asking[0] = flag
     _worker[:] = [os.getpid()]
 
@@ -36,18 +32,10 @@ def ask(
     space: gymnasium.Space[Any],
     counts: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[Any], Any]:
-    """Call an ADS, and return its actions and state; every failure becomes an `ADSError`.
+    """Call an ADS, and return its actions, shape (B, ...), and its state; every failure becomes an `ADSError`.
 
-    Args:
-        ads: the driving system.
-        observation: observations, a row for each sub-environment, shape (B, ...).
-        state: state returned by the previous call of the ADS.
-        start: True for each sub-environment in which an episode begins, shape (B,).
-        space: action space of one sub-environment.
-        counts: True for each row whose action is used, shape (B,); None if all actions are used.
-
-    Returns:
-        The actions, shape (B, ...), and the state for the next call.
+    An observation has a row for each of B sub-environments with this action space. `start` is True where an episode
+    begins, and `counts` for each row whose action is used, shapes (B,); None if all are.
 
     Raises:
         ADSError: if the ADS fails, or its answer is not a valid action.
@@ -87,11 +75,7 @@ def _of_function(answer: Any, space: gymnasium.Space[Any]) -> str:
 def _checked(
     answer: Any, space: gymnasium.Space[Any], count: int, counts: NDArray[np.bool_] | None
 ) -> tuple[NDArray[Any], Any]:
-    """Return the actions and the state of an answer. If an action is invalid, unused rows take that of a used one.
-
-    Raises:
-        _AnswerError: if the answer is invalid; the message says what `predict` must return.
-    """
+    """Return the actions and the state of an answer. If an action is invalid, unused rows take that of a used one."""
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise _AnswerError(f"predict must return a pair (actions, state), got {answer!r:.80}")
     actions = np.asarray(answer[0])
@@ -111,11 +95,7 @@ def _checked(
 
 
 def _check_values(actions: NDArray[Any], space: gymnasium.Space[Any]) -> None:
-    """Check actions of the right shape.
-
-    Raises:
-        _AnswerError: if one of them is not valid.
-    """
+    """Check actions of the right shape."""
     if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
         raise _AnswerError(f"predict must return finite numbers as actions, got {actions!r:.80}")
     if isinstance(space, gymnasium.spaces.Discrete):

@@ -21,13 +21,9 @@ _SOURCE: Final = ".py"
 
 
 def source_files(module: str) -> dict[str, Path]:
-    """Return the files of a module and of the packages in its name. Nothing is imported.
+    """Return the files of a module and of the packages in its name, by their names. Nothing is imported.
 
-    Args:
-        module: name of the module.
-
-    Returns:
-        The files by the names of the module and its packages; none for a module that is not found, or without a file.
+    A module that is not found, or without a file, has none.
     """
     found: dict[str, Path] = {}
     places: Sequence[str] | None = None
@@ -50,10 +46,7 @@ def digests_of(modules: Iterable[str]) -> dict[str, str]:
 
 
 def import_checked(digests: Mapping[str, str]) -> None:
-    """Import modules that have not been imported, each from a file with a known digest.
-
-    Args:
-        digests: see `digests_of`.
+    """Import modules that have not been imported, each from a file with a known digest, see `digests_of`.
 
     Raises:
         InputError: if a file differs, or a module cannot be imported.

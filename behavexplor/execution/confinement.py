@@ -25,9 +25,7 @@ def confine() -> tuple[str, ...]:
     """Block file writes, network access and terminals for this thread, and for all threads and processes it starts.
 
     Writing remains possible in the temporary folder of `tempfile`. Files that are open, such as a terminal, stay open.
-
-    Returns:
-        Actions that this system cannot prevent, such as "write files".
+    Return what this system cannot prevent, such as "write files".
     """
     loose = []
     if not _seal_files():
@@ -38,11 +36,7 @@ def confine() -> tuple[str, ...]:
 
 
 def _seal_files() -> bool:
-    """Block writing files and opening devices, and from Linux 6.12 on signals to outside processes.
-
-    Returns:
-        Whether writing and devices are blocked.
-    """
+    """Block writing files and opening devices, and from Linux 6.12 on outside signals; return whether files are."""
     try:
         from landlockpy import AccessFS, LandlockError, Ruleset, Scope, supported  # noqa: PLC0415 - Linux only
     except ModuleNotFoundError:

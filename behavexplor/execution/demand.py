@@ -57,11 +57,7 @@ class Demand:
 
 
 class AwaitedFuture(Future[Any]):
-    """A future that measures how long the caller waits for its result.
-
-    Args:
-        demand: the measured demand of all futures.
-    """
+    """A future that measures how long the caller waits for its result, for the measured demand of all."""
 
     def __init__(self, demand: Demand) -> None:
         super().__init__()

@@ -16,12 +16,7 @@ STREAM: Final = 0x64_72_61_77  # separates these random numbers from others
 
 
 class DrawnActions:
-    """An ADS that draws its actions from the distribution of a stochastic policy.
-
-    Args:
-        policy: the policy, see `behavexplor.ads.interface.StochasticADS`.
-        count: number of episodes in lock-step.
-    """
+    """Draws actions from the distribution of a stochastic policy, see `behavexplor.ads.interface.StochasticADS`."""
 
     def __init__(self, policy: Any, count: int) -> None:
         self._policy = policy

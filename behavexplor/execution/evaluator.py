@@ -38,21 +38,13 @@ _COMPILING = "behavexplor.jit"  # logger that tells that the user has to wait, w
 class Evaluator(Service):
     """Executes scenarios, checks the ADS before a campaign, and reports the fingerprint that results depend on.
 
-    Args:
-        lock_step: greatest number of episodes that run in lock-step.
-        target: the fields of a `behavexplor.data.target.CheckedTarget`.
-
-    Attributes:
-        target: the driving system and its environment.
-        is_confined: whether the driving system is third-party code.
-        driver: object of this process that drives in place of the driving system of that name; None for none.
-        functions: see `behavexplor.execution.service.Service`.
-        batch: executes many scenarios in lock-step; None if the ADS or the environment cannot.
+    At most `lock_step` episodes run in lock-step. The target is given by the fields of a
+    `behavexplor.data.target.CheckedTarget`.
     """
 
     def __init__(self, lock_step: int = LOCK_STEP, **target: Any) -> None:
         self.target = CheckedTarget(**target)
-        self.is_confined = needs_confinement(self.target)
+        self.is_confined = needs_confinement(self.target)  # whether the driving system is third-party code
         self._lock_step = lock_step
         self.driver: ADS | None = None
         self.functions: Mapping[str, Callable[[bytes], bytes]] = {
@@ -64,7 +56,7 @@ class Evaluator(Service):
             DRAWS: self.draws,
             FINGERPRINT: fingerprint,
         }
-        self.batch: ScenarioBatch | None = None
+        self.batch: ScenarioBatch | None = None  # scenarios in lock-step; None if the ADS or the environment cannot
         self._unprevented: tuple[str, ...] = ()
         self._notices: list[str] = []
 
@@ -96,13 +88,7 @@ class Evaluator(Service):
             self.batch = ScenarioBatch(self.simulation, episodes, self.answer)
 
     def execute(self, scenario: bytes) -> bytes:
-        """Execute a scenario.
-
-        Args:
-            scenario: the scenario as JSON.
-
-        Returns:
-            The answer, see `answer`.
+        """Execute a scenario, given as JSON, and return the answer, see `answer`.
 
         Raises:
             ADSError: if the ADS fails.
@@ -110,10 +96,7 @@ class Evaluator(Service):
         return self.answer(self.simulation.run_alone(_scenario(scenario)))
 
     def original(self, scenario: bytes) -> bytes:
-        """Execute a scenario in highway-env itself, and return its trace as bytes.
-
-        Args:
-            scenario: the scenario as JSON, of one of highway-env's environments.
+        """Execute a scenario as JSON in highway-env itself, whose environment it needs, and return its trace as bytes.
 
         Raises:
             ADSError: if the ADS fails.
@@ -127,8 +110,7 @@ class Evaluator(Service):
     def logical(self, _: bytes) -> bytes:
         """Return the logical scenario of a highway-env environment as JSON, which depends on what the ADS declares.
 
-        Returns:
-            JSON; nothing for an environment with scripted vehicles.
+        For an environment with scripted vehicles, that is nothing.
         """
         return self.simulation.logical.to_json().encode()
 
@@ -155,10 +137,8 @@ class Evaluator(Service):
 class ScenarioBatch:
     """Executes many scenarios in lock-step; see `behavexplor.execution.service.Batch`.
 
-    Args:
-        simulation: simulation with the ADS that drives.
-        episodes: episodes of that simulation. The number that can still begin now is the capacity of the batch.
-        answer: function from a trace to the result of its request.
+    Its capacity is the number of episodes that can still begin now. `answer` makes the result of a request from a
+    trace.
     """
 
     def __init__(self, simulation: Simulation, episodes: LockStep, answer: Callable[[Trace], bytes]) -> None:
@@ -195,12 +175,7 @@ class ScenarioBatch:
 
 
 def simulation_of(target: Target, driver: ADS | None = None, render_mode: str | None = None) -> Simulation:
-    """Return the simulation of a target.
-
-    Args:
-        target: the driving system and its environment.
-        driver: object that drives in place of the driving system of that name; None for none.
-        render_mode: what the environment's `render` returns or shows, as in gymnasium.
+    """Return the simulation of a target, in which a given `driver` drives in place of the driving system of that name.
 
     Raises:
         InputError: see `behavexplor.execution.simulation.Simulation`.
@@ -215,10 +190,8 @@ def simulation_of(target: Target, driver: ADS | None = None, render_mode: str | 
 def evaluator_recipe(target: Target, at_a_time: int = LOCK_STEP) -> Recipe:
     """Return the recipe by which worker processes make the evaluator of a target.
 
-    Args:
-        target: the driving system and its environment.
-        at_a_time: number of scenarios that a process executes at a time. A driver also decides for the episodes in
-            lock-step that are not there, so there are no more of them than necessary.
+    A process executes `at_a_time` scenarios at a time. A driver also decides for the episodes in lock-step that are not
+    there, so there are no more of them than necessary.
     """
     return recipe_for(Evaluator, target, lock_step=min(at_a_time, LOCK_STEP))
 
@@ -226,10 +199,7 @@ def evaluator_recipe(target: Target, at_a_time: int = LOCK_STEP) -> Recipe:
 def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Recipe:
     """Return the recipe by which worker processes make an evaluator, or a service derived from it, for a target.
 
-    Args:
-        service: the class of the service.
-        target: the driving system and its environment.
-        settings: further keyword arguments of the class, as JSON values.
+    The settings are further keyword arguments of the class, as JSON values.
     """
     return Recipe(
         f"{service.__module__}:{service.__qualname__}",
@@ -257,11 +227,7 @@ def _scenario(data: bytes) -> Scenario:
 
 @contextmanager
 def collected_notices() -> Iterator[list[str]]:
-    """Collect what is logged at level WARNING or above, and Python's warnings, instead of printing it.
-
-    Yields:
-        A list to which the notices are added, each as one printable line.
-    """
+    """Collect what is logged at level WARNING or above, and Python's warnings, as lines, instead of printing it."""
     notices: list[str] = []
     handler = _Collector(notices)
     root = logging.getLogger()

@@ -18,26 +18,18 @@ class Executor(ABC):
     """Calls functions of a service by name. Results do not depend on which executor calls them.
 
     An executor is a context manager: on exit it finishes all calls and shuts down.
-
-    Attributes:
-        runs_here: whether calls run in this process, while their results are waited for.
-        room: number of further calls with which everything that has begun would be busy, and have one more batch ahead.
     """
 
-    runs_here: ClassVar[bool] = False
+    runs_here: ClassVar[bool] = False  # whether calls run in this process, while their results are waited for
+    # number of further calls with which everything that has begun would be busy, and have one more batch ahead
     room: int = 0
 
     @abstractmethod
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
         """Call a function of the service.
 
-        Args:
-            function: name of the function.
-            data: argument of the function.
-
-        Returns:
-            The future result. Its exception is an `ADSError` if the ADS failed, and an `InputError` if the service
-            could not begin or rejected the data.
+        The exception of the future is an `ADSError` if the ADS failed, and an `InputError` if the service could not
+        begin or rejected the data.
         """
 
     @abstractmethod
@@ -65,31 +57,20 @@ def available_cores() -> int:
 
 
 class ADSError(Exception):
-    """An ADS failed instead of returning an action.
-
-    Attributes:
-        kind: kind of the failure: "raised" (it raised an exception), "invalid" (its answer is not a valid action),
-            "exit" (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time),
-            or "crash" (its process died).
-        message: details of the failure.
-        place: where the ADS raised an exception, see `behavexplor.errors.place_of`. It is no part of a record.
-    """
+    """An ADS failed instead of returning an action."""
 
     def __init__(self, kind: str, message: str, place: str = "") -> None:
         super().__init__(f"the ADS failed ({kind}): {message}{place}")
+        # kind of the failure: "raised" (it raised an exception), "invalid" (its answer is not a valid action), "exit"
+        # (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time), or "crash" (its
+        # process died)
         self.kind = kind
         self.message = message
-        self.place = place
+        self.place = place  # where the ADS raised, see `behavexplor.errors.place_of`; no part of a record
 
 
 def in_order(executor: Executor, calls: Iterable[tuple[str, bytes]], ahead: int) -> Iterator["Future[bytes]"]:
-    """Call functions of a service, and yield the finished calls in order.
-
-    Args:
-        executor: the executor.
-        calls: name of the function and its argument, for each call.
-        ahead: greatest number of calls that are under way behind the one that is waited for.
-    """
+    """Call functions with their arguments, and yield the finished calls in order; `ahead` are under way behind each."""
     pending: deque[Future[bytes]] = deque()
     for function, data in calls:
         pending.append(executor.submit(function, data))

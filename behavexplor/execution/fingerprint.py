@@ -31,18 +31,13 @@ _LIBRARIES = {  # libraries that compute results, by the name of the imported mo
 def fingerprint(ads: bytes) -> bytes:
     """Return the fingerprint of this process, with the libraries that it has loaded, as a JSON object of strings.
 
-    Args:
-        ads: JSON list of names of driving systems, see `behavexplor.ads.loading.load_ads`.
+    The names of driving systems are a JSON list, see `behavexplor.ads.loading.load_ads`.
     """
     return _fingerprint(json.loads(ads), [name for module, name in _LIBRARIES.items() if module in sys.modules])
 
 
 def machine_fingerprint(ads: Iterable[str]) -> bytes:
-    """Return the fingerprint of this machine, with all installed libraries. No ADS is loaded.
-
-    Args:
-        ads: names of driving systems.
-    """
+    """Return the fingerprint of this machine, with all installed libraries. No ADS is loaded."""
     return _fingerprint(ads, library_versions())
 
 
@@ -73,12 +68,7 @@ def _is_installed(library: str) -> bool:
 
 
 def difference(theirs: bytes, ours: bytes) -> str | None:
-    """Return a sentence on why a node would not reproduce this machine's results; None if it would.
-
-    Args:
-        theirs: the node's `fingerprint`.
-        ours: the `machine_fingerprint` of this machine.
-    """
+    """Return a sentence on why a node would not reproduce this machine's results; None if it would."""
     found, wanted = json.loads(theirs), json.loads(ours)
     for name in sorted(found.keys() & wanted.keys() - {NODE}):
         if found[name] != wanted[name]:

@@ -20,19 +20,12 @@ KEY_BYTES: Final = 8
 
 
 class Request(NamedTuple):
-    """A call of a function of a service.
+    """A call of a function of a service."""
 
-    Attributes:
-        key: number that identifies the answer.
-        function: name of the function.
-        alone: True if the worker may process no other call at the same time.
-        data: argument of the function.
-    """
-
-    key: int
+    key: int  # number that identifies the answer
     function: str
-    alone: bool
-    data: bytes
+    alone: bool  # True if the worker may process no other call at the same time
+    data: bytes  # argument of the function
 
     def to_bytes(self) -> bytes:
         """Return the request as bytes."""
@@ -58,10 +51,8 @@ def split_key(message: bytes) -> tuple[int, bytes]:
 def error_answer(error: BaseException, place: str = "") -> bytes:
     """Return the answer for a call that raised.
 
-    Args:
-        error: the exception.
-        place: location to append to the message, such as " (on the node n7)". It is left out of ADS failures and of
-            rejected input.
+    A place, such as " (on the node n7)", is added to the message, but not to that of ADS failures and of rejected
+    input.
     """
     if isinstance(error, ADSError):
         return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message, "place": error.place}).encode()

@@ -44,21 +44,13 @@ class WorkerDiedError(RuntimeError):
 
 @dataclass(eq=False)
 class _Task:
-    """A call that has not been answered.
-
-    Attributes:
-        future: future for the result.
-        function: name of the function.
-        data: argument of the function.
-        alone: whether the call needs a worker to itself.
-        crashes: number of workers that died while they processed only this call.
-    """
+    """A call that has not been answered."""
 
     future: Future[Any]
     function: str
     data: bytes
-    alone: bool
-    crashes: int = 0
+    alone: bool  # whether the call needs a worker to itself
+    crashes: int = 0  # number of workers that died while they processed only this call
 
 
 class WorkerPool(Executor):
@@ -295,27 +287,15 @@ class WorkerPool(Executor):
 
 
 class _Worker:
-    """One worker process, and the supervisor's end of the pipe to it.
-
-    Attributes:
-        connection: the supervisor's end of the pipe.
-        output: what a confined worker prints; None for another one, which prints on the supervisor's terminal itself.
-        tasks: unanswered calls by key.
-        is_confined: whether third-party code runs in the worker, which is to blame if the process dies at any time.
-        capacity: number of calls that the worker can process in one batch.
-        is_ready: whether the worker has loaded its service.
-        asking: shared flag, 1 while the worker calls its ADS; see `behavexplor.execution.asking.share_asking`.
-        patience: time limit for the next answer [s].
-        deadline: time at which the answer is overdue, on the monotonic clock [s].
-    """
+    """One worker process, and the supervisor's end of the pipe to it."""
 
     def __init__(self, recipe: Recipe, memory_limit: float, folder: str, is_confined: bool) -> None:
         context: Any = multiprocessing.get_context("forkserver" if CAN_SHARE else "spawn")
         self.connection: Connection
         self.connection, theirs = context.Pipe()
-        self.asking = context.RawValue("b", 0)
-        self.is_confined = is_confined
-        self.output = WorkerOutput() if is_confined and CAN_LEAVE else None
+        self.asking = context.RawValue("b", 0)  # 1 while the worker calls its ADS; see `share_asking`
+        self.is_confined = is_confined  # third-party code runs in it, which is to blame if it dies at any time
+        self.output = WorkerOutput() if is_confined and CAN_LEAVE else None  # others print on our terminal
         pipe = self.output.theirs if self.output else None
         arguments = (theirs, self.asking, recipe, memory_limit, folder, dict(os.environ), pipe)
         self._process = context.Process(target=serve, args=arguments, daemon=not recipe.long_calls)
@@ -327,9 +307,9 @@ class _Worker:
             pipe.close()
         with suppress(OSError):  # the worker has died, which `_listen` will notice
             self.connection.send_bytes(STARTED)
-        self.tasks: dict[int, _Task] = {}
-        self.capacity = 1
-        self.is_ready = False
+        self.tasks: dict[int, _Task] = {}  # unanswered calls by key
+        self.capacity = 1  # calls in one batch
+        self.is_ready = False  # whether it has loaded its service
         self._wait_for(BEGIN_SECONDS)
 
     @property
@@ -355,12 +335,7 @@ class _Worker:
             self.connection.send_bytes(Request(key, task.function, task.alone, task.data).to_bytes())
 
     def answer(self, time_limit: float) -> tuple[int, bytes]:
-        """Receive an answer, and return its key and the answer.
-
-        Raises:
-            EOFError: if the process has died.
-            OSError: if the process has died.
-        """
+        """Receive an answer, and return its key and the answer; EOFError or OSError if the process has died."""
         message = self.connection.recv_bytes(MOST_BYTES)
         self._wait_for(time_limit)
         return split_key(message)
@@ -398,6 +373,7 @@ class _Worker:
             self.output.pass_on(ended=True)
 
     def _wait_for(self, seconds: float) -> None:
+        # time limit for the next answer [s], and when it is overdue on the monotonic clock [s]
         self.patience, self.deadline = seconds, time.monotonic() + seconds
 
 

@@ -79,13 +79,12 @@ def _rows_with_values(observation: Observation) -> NDArray[np.bool_]:
 
 
 def preflight_warnings(simulation: Simulation) -> list[str]:
-    """Drive a few scenarios and return warnings about the ADS.
+    """Drive a few scenarios and return warnings about the ADS, a sentence for each finding.
 
-    Returns:
-        A sentence for each finding: the ADS sees observations flattened or stacked, fails, always gives the same
-        answer, never moves, was trained with masks of actions, or on a different kind of observations. The last happens
-        when its `VecNormalize` statistics are missing. Further, that a scenario does not repeat, that the environment
-        is not compiled, or that its configuration is not known.
+    Findings are that the ADS sees observations flattened or stacked, fails, always gives the same answer, never moves,
+    was trained with masks of actions, or on a different kind of observations. The last happens when its `VecNormalize`
+    statistics are missing. Further, that a scenario does not repeat, that the environment is not compiled, or that its
+    configuration is not known.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -194,10 +193,7 @@ def _motionless(traces: list[Trace]) -> str | None:
 def _foreign(seen: Observation, trained_on: Observation | None) -> str | None:
     """Return a warning if the policy's last training observations lie outside the range observed here.
 
-    Args:
-        seen: observations made here, shape (n, ...).
-        trained_on: last training observations, shape (m, ...), with or without frames stacked along the last axis;
-            None if unknown.
+    `seen` has shape (n, ...), `trained_on` (m, ...), with or without frames stacked along the last axis.
     """
     values = _values_outside(seen, trained_on)
     share = float(np.mean(np.concatenate(values))) if values else 0.0

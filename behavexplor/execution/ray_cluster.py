@@ -43,9 +43,8 @@ class ClusterError(RuntimeError):
 def parse_cluster(text: str) -> str:
     """Return the address in the name of a cluster, as Ray takes it. An empty one means a new cluster on this machine.
 
-    Args:
-        text: "ray", alone or followed by ":" and an address: "ray:10.0.0.5:6379", "ray://10.0.0.5:10001". "ray:auto" is
-            the cluster that this machine belongs to.
+    A name is "ray", alone or followed by ":" and an address: "ray:10.0.0.5:6379", "ray://10.0.0.5:10001". "ray:auto" is
+    the cluster that this machine belongs to.
 
     Raises:
         InputError: if the name is none of these.
@@ -65,12 +64,9 @@ def parse_cluster(text: str) -> str:
 class Node:
     """The actor on a node: it calls its worker, and answers with tagged bytes, see `behavexplor.execution.messages`.
 
-    Args:
-        recipe: recipe of the worker's service.
-        limits: limits of its worker.
-        ads: JSON list of the driving systems that must be equal on all machines.
-        fingerprint: fingerprint of the campaign's machine. A worker with another one refuses all calls.
-        folder: working directory of the campaign. The worker works there if this node has such a folder.
+    `ads` is a JSON list of the driving systems that must be equal on all machines. A worker with another fingerprint
+    than the campaign's machine refuses all calls. It works in the working directory of the campaign if this node has
+    such a folder.
     """
 
     def __init__(self, recipe: Recipe, limits: Limits, ads: bytes, fingerprint: bytes, folder: str) -> None:
@@ -120,15 +116,9 @@ class _Call(NamedTuple):
 class RayExecutor(Executor):
     """Calls functions of a service on the nodes of a Ray cluster. Each node has a supervised worker of its own.
 
-    Args:
-        cluster: name of the cluster, see `parse_cluster`.
-        nodes: number of nodes; 0 for one node for each core. Those for which there is no room begin when there is.
-        recipe: recipe of each worker's service. The service must have the function "fingerprint".
-        limits: limits of each worker.
-        ads: names of the driving systems, which must be equal on all machines.
-
-    Attributes:
-        n_nodes: number of nodes.
+    For the name of the cluster, see `parse_cluster`. Without a number of nodes, there is one for each core. Those for
+    which there is no room begin when there is. The service must have the function "fingerprint". The driving systems of
+    the names `ads` must be equal on all machines.
 
     Raises:
         InputError: if there is no such cluster, if Ray is not installed, or if the first node to answer cannot load the

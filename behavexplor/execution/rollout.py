@@ -22,16 +22,9 @@ _LEAST_ROOM: Final = 64  # rows
 
 
 def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace:
-    """Run a scenario to its end.
+    """Run a scenario to its end, and return the trace of the episode, with the log of decisions if the ADS keeps one.
 
-    Args:
-        env: environment that takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
-        ads: driving system, see `behavexplor.ads.interface.ADS`. If it keeps a decision log, the log is added to the
-            trace.
-        scenario: the concrete scenario.
-
-    Returns:
-        The trace of the episode.
+    The environment takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
 
     Raises:
         ADSError: if the ADS fails, or its answer is not a valid action of the environment.
@@ -50,27 +43,17 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
 class EpisodeDriver:
     """A driving system in one episode: a function from an observation of the environment to an action.
 
-    Args:
-        ads: driving system, see `behavexplor.ads.interface.ADS`.
-        space: action space of the environment.
-        scenario: the scenario of the episode, by which a stochastic policy draws its actions.
-
-    Attributes:
-        state: state that `predict` returned last.
+    A stochastic policy draws its actions by the scenario of the episode.
     """
 
     def __init__(self, ads: Any, space: gymnasium.Space[Any], scenario: Scenario) -> None:
         self._ads, self._space = ads, space
         self._start = np.ones(1, dtype=bool)
-        self.state: Any = None
+        self.state: Any = None  # state that `predict` returned last
         _begin(ads, 0, scenario)
 
     def __call__(self, observation: Observation) -> Any:
-        """Return the action after an observation.
-
-        Raises:
-            ADSError: if the ADS fails, or its answer is not a valid action of the environment.
-        """
+        """Return the action after an observation; `ADSError` if the ADS gives none that is valid."""
         batch = mapped(_batch_of_one, observation)
         actions, self.state = ask(self._ads, batch, self.state, self._start, self._space)
         self._start = np.zeros(1, dtype=bool)
@@ -91,20 +74,12 @@ class LockStep:
     """Episodes of one ADS in lock-step, one in each sub-environment; see `rollout`.
 
     The ADS chooses the actions for all episodes in one call. In the row of a sub-environment without an episode, the
-    observation is zero and the action is ignored.
-
-    Args:
-        envs: vector environment with autoreset disabled that takes
-            `reset(options={"scenarios": ..., "reset_mask": ...})`.
-        ads: driving system, see `behavexplor.ads.interface.ADS`.
-        logs: whether traces have the driving system's decision log.
-
-    Attributes:
-        free: number of sub-environments without an episode.
+    observation is zero and the action is ignored. The vector environment has autoreset disabled, and takes
+    `reset(options={"scenarios": ..., "reset_mask": ...})`. With `logs`, traces have the driving system's decision log.
     """
 
     def __init__(self, envs: VectorEnv[Any, Any, Any], ads: Any, *, logs: bool = True) -> None:
-        self.free = envs.num_envs
+        self.free = envs.num_envs  # number of sub-environments without an episode
         self._envs = envs
         self._ads = ads
         self._scenarios: list[Scenario | None] = [None] * envs.num_envs
@@ -127,12 +102,7 @@ class LockStep:
         return self.free < len(self._running)
 
     def begin(self, key: Any, scenario: Scenario) -> None:
-        """Add an episode, which begins with the next call of `step`. One of the sub-environments must be free.
-
-        Args:
-            key: key by which `step` identifies the episode.
-            scenario: the concrete scenario.
-        """
+        """Add an episode, which begins with the next call of `step`. One of the sub-environments must be free."""
         slot = int(self._running.argmin())
         self._keys[slot], self._scenarios[slot] = key, scenario
         self._running[slot] = self._start[slot] = self._begins = True
@@ -147,10 +117,7 @@ class LockStep:
         return keys
 
     def step(self) -> list[tuple[Any, Trace]]:
-        """Advance all episodes by one decision.
-
-        Returns:
-            Key and trace of each episode that has ended.
+        """Advance all episodes by one decision, and return key and trace of each that has ended.
 
         Raises:
             ADSError: if the ADS fails, or its answer is not a valid action of the environment. It is unknown which
@@ -196,13 +163,7 @@ class LockStep:
 def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Scenario]) -> Iterator[tuple[int, Trace]]:
     """Run scenarios to their ends, as many at a time as there are sub-environments; see `LockStep`.
 
-    Args:
-        envs: see `LockStep`.
-        ads: see `LockStep`.
-        scenarios: the concrete scenarios.
-
-    Yields:
-        The index of a scenario, counted from 0, and its trace, in the order in which the episodes end.
+    Yield the index of a scenario, counted from 0, and its trace, in the order in which the episodes end.
 
     Raises:
         ADSError: if the ADS fails, or its answer is not a valid action of the environment.
@@ -222,12 +183,7 @@ def run_episodes(episodes: LockStep, scenarios: Iterable[Scenario]) -> Iterator[
 
 
 class DecisionRecorder:
-    """Records what an ADS logs of its decisions, in B episodes in lock-step. Without a method `log`, that is nothing.
-
-    Args:
-        ads: driving system, see `behavexplor.ads.interface.DecisionLog`.
-        count: number B of episodes.
-    """
+    """Records what an ADS logs of its decisions in B episodes in lock-step: nothing without a method `log`."""
 
     def __init__(self, ads: Any, count: int) -> None:
         self._ads = ads if callable(getattr(ads, "log", None)) else None  # else, it is something of the ADS's own
@@ -238,22 +194,14 @@ class DecisionRecorder:
         self._oldest = 0  # first row of the running episode that began first
 
     def begin(self, slots: NDArray[np.bool_], running: NDArray[np.bool_]) -> None:
-        """Begin episodes.
-
-        Args:
-            slots: True for each episode that begins, shape (B,).
-            running: True for each episode that runs, including the new ones, shape (B,).
-        """
+        """Begin the episodes in `slots`; `running` are all that run, including the new ones; both of shape (B,)."""
         if slots[running].all():  # no older episode goes on, and these may have other names and shapes
             self._columns, self._rows, self._room = None, 0, 0
         self._begins[slots] = self._rows
         self._oldest = int(self._begins[running].min())
 
     def add(self, state: Any) -> None:
-        """Add the latest decisions.
-
-        Args:
-            state: state that `predict` returned.
+        """Add the latest decisions, by the state that `predict` returned.
 
         Raises:
             ADSError: if the ADS raises an exception, or returns something else than
@@ -269,10 +217,6 @@ class DecisionRecorder:
 
     def completed(self, trace: Trace, slot: int) -> Trace:
         """Return the trace of an episode that has ended, with its decisions, arrays of shape (D, ...).
-
-        Args:
-            trace: trace without decisions.
-            slot: index of the episode.
 
         Raises:
             InputError: if a logged number is not finite.

@@ -7,23 +7,17 @@ from typing import Any, Protocol
 
 
 class Batch(Protocol):
-    """Processes many requests at a time.
+    """Processes many requests at a time."""
 
-    Attributes:
-        capacity: greatest number of requests at a time.
-    """
-
-    capacity: int
+    capacity: int  # greatest number of requests at a time
 
     def begin(self, key: int, request: bytes) -> None:
         """Take one more request."""
 
     def advance(self) -> list[tuple[int, bytes | Exception | None]]:
-        """Advance all requests by one step.
+        """Advance all requests by one step, and return key and result, or exception, of each that is done.
 
-        Returns:
-            The key and the result of each request that is done, or the exception that it raised. None means that the
-            request must be called again alone.
+        None means that the request must be called again alone.
         """
 
 
@@ -31,17 +25,12 @@ class Service:
     """The functions that a process offers, by name. One of them may be called in batches.
 
     The constructor takes JSON values as keyword arguments and is cheap. `begin` loads what the functions need.
-
-    Attributes:
-        functions: functions from bytes to bytes, by name.
-        is_confined: whether third-party code will run in the process, which then gives up rights, see `confine`, and
-            has no terminal.
-        batch: batch that processes many calls of `Recipe.batched` at a time; None if each call is made alone.
     """
 
-    functions: Mapping[str, Callable[[bytes], bytes]]
+    functions: Mapping[str, Callable[[bytes], bytes]]  # functions from bytes to bytes, by name
+    # whether third-party code will run in the process, which then gives up rights, see `confine`, and has no terminal
     is_confined: bool = False
-    batch: Batch | None = None
+    batch: Batch | None = None  # processes many calls of `Recipe.batched` at a time; None if each is made alone
 
     def prepare(self) -> None:
         """Prepare this machine, in the supervisor's process, before the first worker starts."""
@@ -62,21 +51,14 @@ class Service:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Recipe for making a service: plain data that can be sent to other processes and machines.
+    """Recipe for making a service: plain data that can be sent to other processes and machines."""
 
-    Attributes:
-        service: class of the service as "package.module:name".
-        settings: keyword arguments of the class, as JSON values.
-        batched: name of the function that is called in batches; empty for none.
-        preload: modules that are imported once for all processes, where the system can share them.
-        long_calls: whether a call lasts as long as a campaign. Each process then takes a single call, may start
-            processes of its own, and calls `stop` on SIGTERM.
-    """
-
-    service: str
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    batched: str = ""
-    preload: tuple[str, ...] = ()
+    service: str  # class of the service as "package.module:name"
+    settings: Mapping[str, Any] = field(default_factory=dict)  # keyword arguments of the class, as JSON values
+    batched: str = ""  # name of the function that is called in batches; empty for none
+    preload: tuple[str, ...] = ()  # modules that are imported once for all processes, where the system can share them
+    # whether a call lasts as long as a campaign. Each process then takes a single call, may start processes of its own,
+    # and calls `stop` on SIGTERM.
     long_calls: bool = False
 
     def make(self) -> Service:

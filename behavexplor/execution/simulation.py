@@ -57,15 +57,6 @@ class Simulation:
         render_mode: what the environment's `render` returns or shows, as in gymnasium.
         activation: function between the layers of a file of weights; None for that in the file beside it.
 
-    Attributes:
-        env: the environment.
-        ads: the driving system.
-        logical: the scenarios of the environment.
-        source: where the ADS comes from: `FILE`, `MODULE` or `MEMORY`.
-        is_configured: whether a configuration for the policy was found, where one is needed.
-        plain: why the environment cannot run in lock-step, once this is known; empty if it can.
-        stochastic: whether the ADS draws its actions.
-
     Raises:
         InputError: if there is no such environment or ADS, or if they do not fit together.
     """
@@ -84,7 +75,7 @@ class Simulation:
     ) -> None:
         is_theirs = is_highway(env)
         roadmap = None if is_theirs else logical_scenario(env).roadmap
-        self.source = _source(ads)
+        self.source = _source(ads)  # where the ADS comes from: `FILE`, `MODULE` or `MEMORY`
         self.ads: Any = load_ads(ads, roadmap, trust, activation) if isinstance(ads, str) else ads
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if is_theirs else {}
@@ -101,12 +92,13 @@ class Simulation:
         if hasattr(self.ads, "seeing"):
             self.ads = self.ads.seeing(self.env.observation_space, self.env.action_space)
         self.logical = logical_of(self.env, env)
-        self.plain = ""
-        self.stochastic = stochastic
+        self.plain = ""  # why the environment cannot run in lock-step, once this is known; empty if it can
+        self.stochastic = stochastic  # whether the ADS draws its actions
         self._single: LockStep | None = None
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {ads!r} cannot draw its actions: leave out --stochastic")
         is_asked = is_theirs and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
+        # whether a configuration for the policy was found, where one is needed
         self.is_configured = not is_asked or env_config is not None or has_own_config(env)
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
@@ -140,14 +132,9 @@ class Simulation:
         return trace
 
     def run_all(self, scenarios: Sequence[Scenario], batch: int = 64) -> Iterator[tuple[int, Trace]]:
-        """Run scenarios to their ends, in lock-step if the ADS and the vector environment support it.
+        """Run scenarios to their ends, `batch` at a time in lock-step if the ADS and the vector environment support it.
 
-        Args:
-            scenarios: the concrete scenarios.
-            batch: number of scenarios that run at a time.
-
-        Yields:
-            The index of a scenario, counted from 0, and its trace, in the order in which the episodes end.
+        Yield the index of a scenario, counted from 0, and its trace, in the order in which the episodes end.
         """
         envs = self.compiled(min(batch, len(scenarios)))
         if envs is None:
@@ -159,10 +146,9 @@ class Simulation:
     def lock_step(self, count: int, *, short: bool = False) -> LockStep | None:
         """Return episodes in lock-step; None if the environment has no compiled form.
 
-        Args:
-            count: number of episodes at a time. It is 1 if the ADS takes one observation at a time.
-            short: whether traces are short, without the ADS's log, and None for failures; see the attribute
-                `short_traces` of the vector environments. The result is None for an environment without it.
+        `count` is the number of episodes at a time, 1 if the ADS takes one observation at a time. Short traces are
+        without the ADS's log, and None for failures; see the attribute `short_traces` of the vector environments. The
+        result is None for an environment without it.
         """
         envs: Any = self.compiled(count)
         if envs is None or (short and not hasattr(envs, "short_traces")):
@@ -187,14 +173,9 @@ class Simulation:
         return self.vector_env(count)
 
     def vector_env(self, count: int, **changes: Any) -> VectorEnv[Any, Any, Any] | None:
-        """Return a vector environment with the observations and actions of the ADS.
+        """Return a vector environment with the observations and actions of the ADS; None if there is none for this one.
 
-        Args:
-            count: number of sub-environments.
-            changes: keys of the environment's configuration that replace those of the ADS.
-
-        Returns:
-            The vector environment; None if the environment has none, or none that supports this configuration.
+        The changes are keys of the environment's configuration that replace those of the ADS.
         """
         try:
             return make_vector_env(self.env, count, changes)
@@ -204,11 +185,7 @@ class Simulation:
 
 
 def _check_traffic(ads: Any, trained: Mapping[str, Any], given: Mapping[str, Any]) -> None:
-    """Refuse code that the files beside a policy name.
-
-    Raises:
-        InputError: if they name a class of vehicles that the given configuration does not replace.
-    """
+    """Refuse a class of vehicles that the files beside a policy name and the given configuration does not replace."""
     named = traffic_code(trained)
     if named and _source(ads) == FILE and TRAFFIC_CLASS not in given:
         raise InputError(
@@ -229,11 +206,7 @@ def _plain(value: Any) -> Any:
 
 
 def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: Any) -> None:
-    """Check that a policy with declared spaces can drive in an environment.
-
-    Raises:
-        InputError: if it cannot; the message says how to make it fit, if the spaces show that.
-    """
+    """Check that a policy with declared spaces can drive in an environment, or say how to make it fit."""
     if not (hasattr(ads, "observation_space") and hasattr(ads, "action_space")):
         return
     spaces = (ads.observation_space, ads.action_space)
@@ -260,10 +233,7 @@ def _where_it_fits(ads: Any) -> str:
 def seen_in(env: str, ads: Any, config: Mapping[str, Any]) -> tuple[Any, bool]:
     """Return a driver as it sees an environment, and whether it fits its spaces.
 
-    Args:
-        env: name of the environment.
-        ads: the driver.
-        config: configuration of the environment, as far as the driver does not declare it.
+    The configuration is that of the environment, as far as the driver does not declare it.
 
     Raises:
         InputError: if the environment cannot be configured so, or the driver cannot see it.
@@ -298,9 +268,7 @@ def brief_space(space: gymnasium.Space[Any]) -> str:
 def compile_kernels(env: str) -> None:
     """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step.
 
-    Args:
-        env: name of the environment, see `behavexplor.envs.making`. Nothing is done for an environment of another
-            package.
+    Nothing is done for an environment of another package.
     """
     if is_highway(env):
         _compile_engine(env)
@@ -336,9 +304,6 @@ def _compile_engine(env: str) -> None:
 
 def logical_scenario(env: str) -> LogicalScenario:
     """Return the logical scenario of an environment in its own configuration.
-
-    Args:
-        env: name of the environment, see `behavexplor.envs.making.environment_id`.
 
     Raises:
         InputError: if there is no such environment, or if it has no logical scenario.

@@ -22,22 +22,24 @@ from behavexplor.execution.service import Batch, Recipe, Service
 from behavexplor.execution.simulation import logical_scenario
 
 
-def start_executor(target: Target, workers: int, cluster: str = "", recipe: Recipe | None = None) -> Executor:
-    """Start the executor for the scenarios of a target.
+def start_executor(
+    target: Target, workers: int, cluster: str = "", recipe: Recipe | None = None, driver: ADS | None = None
+) -> Executor:
+    """Start the executor for the scenarios of a target; by default, of an `Evaluator`.
 
-    Args:
-        target: the driving system and its environment.
-        workers: greatest number of worker processes, or number of nodes of a cluster. 0 means this process, without
-            limits of time and memory, or on a cluster one node for each core.
-        cluster: name of a cluster, see `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
-        recipe: recipe of the service for the target; by default that of an `Evaluator`.
+    `workers` is the greatest number of worker processes, or the number of nodes of a cluster. 0 means this process,
+    without limits of time and memory, or on a cluster one node for each core. For the name of a cluster, see
+    `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine. A `driver` that
+    exists in this process only drives in place of the driving system of that name, without workers.
 
     Raises:
         InputError: if the environment, the ADS or the cluster cannot be used, or if an ADS that must be confined
             would run in this process.
     """
-    check_name(target.ads)
     recipe = recipe or evaluator_recipe(target)
+    if driver is not None:
+        return _start_here(recipe, driver)
+    check_name(target.ads)
     if cluster:
         limits = (target.time_limit, target.memory_limit)
         return RayExecutor(cluster, workers, recipe, limits, (target.ads,))
@@ -47,28 +49,17 @@ def start_executor(target: Target, workers: int, cluster: str = "", recipe: Reci
             "the driver write files and use the network with --unconfined"
         )
     if workers == 0:
-        service = recipe.make()
-        service.begin()
-        return InProcessExecutor(service, recipe.batched)
+        return _start_here(recipe)
     return WorkerPool(workers, recipe, target.time_limit, target.memory_limit)
 
 
-def start_in_process(target: Target, driver: ADS, recipe: Recipe | None = None) -> Executor:
-    """Start the executor for a driver that exists in this process only.
-
-    Args:
-        target: the environment, and the name of the driver.
-        driver: the driver.
-        recipe: recipe of an evaluator for the target; by default that of a plain one.
-
-    Raises:
-        InputError: if the environment cannot be used, or the driver cannot drive in it.
-    """
-    recipe = recipe or evaluator_recipe(target)
-    evaluator: Any = recipe.make()
-    evaluator.driver = driver
-    evaluator.begin()
-    return InProcessExecutor(evaluator, recipe.batched)
+def _start_here(recipe: Recipe, driver: ADS | None = None) -> Executor:
+    """Start the executor of a service in this process, of an `Evaluator` if there is a driver."""
+    service: Any = recipe.make()
+    if driver is not None:
+        service.driver = driver
+    service.begin()
+    return InProcessExecutor(service, recipe.batched)
 
 
 def fewest_workers(target: Target) -> int:
@@ -78,10 +69,6 @@ def fewest_workers(target: Target) -> int:
 
 def logical_of_target(executor: Executor, env: str) -> LogicalScenario:
     """Return the logical scenario of a target, whose configuration may depend on what the ADS declares.
-
-    Args:
-        executor: executor of the target.
-        env: name of the environment.
 
     Raises:
         InputError: if the ADS or the environment cannot be loaded.
@@ -107,12 +94,8 @@ def check_loading(executor: Executor) -> None:
 def check_ads(executor: Executor, meanwhile: Callable[[], None] = lambda: None) -> list[str]:
     """Check the ADS in the place where it will run. This also compiles the kernels for all workers.
 
-    Args:
-        executor: executor of the ADS.
-        meanwhile: work to do in this process while the ADS is loaded in another one.
-
-    Returns:
-        Warnings, each of them a printable sentence.
+    `meanwhile` is work to do in this process while the ADS is loaded in another one. Return warnings, each of them a
+    printable sentence.
 
     Raises:
         InputError: if the ADS cannot be loaded.
@@ -128,12 +111,7 @@ def check_ads(executor: Executor, meanwhile: Callable[[], None] = lambda: None) 
 
 
 class InProcessExecutor(Executor):
-    """Calls the functions of a service in this process.
-
-    Args:
-        service: a service whose `begin` has been called.
-        batched: name of the function that is called in batches; see `behavexplor.execution.service.Recipe`.
-    """
+    """Calls the functions of a service in this process. The `begin` of the service has been called."""
 
     runs_here = True
 

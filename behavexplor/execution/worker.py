@@ -47,17 +47,11 @@ def serve(
 ) -> None:
     """Answer requests until the other end of the connection is closed.
 
-    The process ignores Ctrl-C, computes in one thread, and ends when its supervisor ends.
-
-    Args:
-        connection: connection to the supervisor.
-        asking: see `behavexplor.execution.asking.share_asking`.
-        recipe: recipe of the service.
-        memory_limit: memory limit of the process [GiB], where the system supports it.
-        folder: folder for temporary files.
-        environment: environment variables of the supervisor; the process that this one was forked from may have had
-            others.
-        output: pipe for what the process prints; None if it prints where its supervisor does.
+    The process ignores Ctrl-C, computes in one thread, and ends when its supervisor ends. See
+    `behavexplor.execution.asking.share_asking` for `asking`. The memory limit [GiB] holds where the system supports it.
+    The folder is for temporary files. The environment variables are those of the supervisor; the process that this one
+    was forked from may have had others. The process prints into the pipe `output`, or without one, where its supervisor
+    does.
     """
     os.environ.clear()
     os.environ.update(environment)
@@ -185,10 +179,7 @@ def _be_killed_with_supervisor(*, with_children: bool) -> None:
     """Let Linux kill this process when the supervisor's process ends, even while an ADS keeps all threads from running.
 
     Linux sends the signal at any event on the pipe by which this process was started. Once the supervisor has written
-    all, only its end is left.
-
-    Args:
-        with_children: whether to kill all processes of this one's group, too, which must be its own.
+    all, only its end is left. `with_children` kills all processes of this one's group, too, which must be its own.
     """
     supervisor = multiprocessing.parent_process()
     if supervisor is None or sys.platform != "linux":

@@ -20,11 +20,9 @@ _PIPE: Final = 2**20  # greatest size of a pipe without special rights on Linux 
 
 
 class WorkerOutput:
-    """The supervisor's end of the pipe.
+    """The supervisor's end of the pipe. It is closed if nothing can come any more.
 
-    Attributes:
-        connection: this end; closed if nothing can come any more.
-        theirs: the worker's end, which the supervisor must close after it has started the worker.
+    `theirs` is the worker's end, which the supervisor must close after it has started the worker.
     """
 
     def __init__(self) -> None:
@@ -35,9 +33,8 @@ class WorkerOutput:
     def pass_on(self, *, ended: bool = False) -> None:
         """Print the lines that have come. Does not wait for more.
 
-        Args:
-            ended: whether the worker has ended, so that the rest is a line, too. Processes that it has left behind may
-                have the pipe, but are no longer read.
+        If the worker has ended, the rest is a line, too. Processes that it has left behind may have the pipe, but are
+        no longer read.
         """
         if self.connection.closed:
             return
@@ -56,12 +53,9 @@ class WorkerOutput:
 
 
 def leave_terminal(output: Connection) -> None:
-    """Give this process a session without a terminal, and make it print into a pipe.
+    """Give this process a session without a terminal, and make it print into the worker's end of the pipe.
 
     No file of the process is a terminal afterwards, and its stdin is empty.
-
-    Args:
-        output: the worker's end of the pipe.
     """
     os.setsid()
     with Path(os.devnull).open("r+b", buffering=0) as nothing:

@@ -34,37 +34,24 @@ _CHOICES: Final = 5  # vehicles of one route that are tried, if the spawn rules 
 
 @validated
 class AimingOptions:
-    """Options of aiming.
+    """Options of aiming."""
 
-    Attributes:
-        draws: number of vehicles drawn on a route, of which one that meets the ego is taken.
-        reach: greatest distance between the centers of the vehicle and the recorded ego when they meet [m].
-        changing_share: share of vehicles that are aimed at the part of the drive in which the ego changed lanes or
-            turned, if it did.
-    """
-
-    draws: Annotated[int, between(1, 1000)] = 48
-    reach: Annotated[float, between(0.1)] = 4.5
+    draws: Annotated[int, between(1, 1000)] = 48  # vehicles drawn on a route, of which one that meets the ego is taken
+    reach: Annotated[float, between(0.1)] = 4.5  # greatest distance between the centers of vehicle and ego [m]
+    # share of vehicles that are aimed at the part of the drive in which the ego changed lanes or turned, if it did
     changing_share: Annotated[float, between(0, 1)] = 0.25
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The recorded motion of an ego, every `INTERVAL` seconds.
-
-    Attributes:
-        frame: frames of the trace, shape (F,).
-        time: times, shape (F,) [s].
-        pose: x [m], y [m] and heading [rad], shape (F, 3).
-        speed: speeds, shape (F,) [m/s].
-        drift: distance across its heading that the ego has moved in the last `CHANGE_TIME`, positive to the right,
-            shape (F,) [m].
-    """
+    """The recorded motion of an ego, every `INTERVAL` seconds."""
 
     frame: Ints
-    time: Floats
-    pose: Floats
-    speed: Floats
+    time: Floats  # times, shape (F,) [s]
+    pose: Floats  # x [m], y [m] and heading [rad], shape (F, 3)
+    speed: Floats  # speeds, shape (F,) [m/s]
+    # distance across its heading that the ego has moved in the last `CHANGE_TIME`, positive to the right, shape (F,)
+    # [m]
     drift: Floats
 
     @classmethod
@@ -91,10 +78,7 @@ class Drive:
 class Aiming:
     """Draws vehicles that would have met the ego on a recorded drive.
 
-    Args:
-        logical: logical scenario of the vehicles.
-        options: options of aiming.
-        predict: function that predicts the motion of vehicles from their waypoints; None for that of scripted vehicles.
+    `predict` returns the motion of vehicles by their waypoints; without it, that of scripted vehicles is meant.
     """
 
     def __init__(
@@ -148,10 +132,7 @@ class Aiming:
 def _meets(poses: Floats, drive: Drive, reach: float) -> NDArray[np.bool_]:
     """Return whether each vehicle meets the ego in a way that the ego would be to blame for, shape (K,).
 
-    Args:
-        poses: x, y and heading of each vehicle at the times of the drive, shape (K, F, 3).
-        drive: drive of the ego.
-        reach: greatest distance at a meeting [m].
+    `poses` are x, y and heading of each vehicle at the times of the drive, shape (K, F, 3).
     """
     gap = poses[..., :2] - drive.pose[:, :2]
     at = np.hypot(gap[..., 0], gap[..., 1]).argmin(1)

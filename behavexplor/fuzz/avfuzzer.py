@@ -33,27 +33,16 @@ _NEAR = 256  # pairs of frame and NPC whose exact distances are computed at once
 
 @validated
 class AVFuzzerOptions:
-    """Options of `AVFuzzer`. The defaults are the published values, where the publication states them.
+    """Options of `AVFuzzer`. The defaults are the published values, where the publication states them."""
 
-    Attributes:
-        population: number of individuals in a generation.
-        crossover_probability: probability that a pair of individuals swaps one NPC.
-        mutation_probability: probability that one property of one NPC of an individual changes.
-        patience: number of generations in a row without a better best individual before a restart.
-        restart_samples: number of scenarios drawn at a restart. Those farthest from all earlier scenarios are kept.
-        local_after: number of generations since the start or restart before the local fuzzer may begin.
-        local_generations: number of generations of the local fuzzer.
-        local_factor: factor on the mutation probability in the local fuzzer.
-    """
-
-    population: Annotated[int, between(2)] = 4
-    crossover_probability: Annotated[float, between(0.01, 1)] = 0.4
-    mutation_probability: Annotated[float, between(0.01, 1)] = 0.4
-    patience: Annotated[int, between(1)] = 5
-    restart_samples: int = 1000
-    local_after: Annotated[int, between(0)] = 2
-    local_generations: Annotated[int, between(1)] = 5
-    local_factor: Annotated[float, between(0)] = 1.5
+    population: Annotated[int, between(2)] = 4  # number of individuals in a generation
+    crossover_probability: Annotated[float, between(0.01, 1)] = 0.4  # that a pair of individuals swaps one NPC
+    mutation_probability: Annotated[float, between(0.01, 1)] = 0.4  # that one property of one NPC changes
+    patience: Annotated[int, between(1)] = 5  # generations in a row without a better best before a restart
+    restart_samples: int = 1000  # scenarios drawn at a restart; those farthest from all earlier ones are kept
+    local_after: Annotated[int, between(0)] = 2  # generations since a start before the local fuzzer may begin
+    local_generations: Annotated[int, between(1)] = 5  # number of generations of the local fuzzer
+    local_factor: Annotated[float, between(0)] = 1.5  # factor on the mutation probability in the local fuzzer
 
     def __post_init__(self) -> None:
         if self.restart_samples < self.population:
@@ -139,11 +128,7 @@ class AVFuzzer:
         return candidate
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Set the fitness of an individual, and end its generation if it was the last one.
-
-        Returns:
-            The `fitness` of the individual.
-        """
+        """Set the `fitness` of an individual, and end its generation if it was the last one."""
         generation, individual, epoch = self._in_flight.pop(candidate.number)
         individual.vector = self._asker.told(candidate)
         individual.fitness = fitness(trace, collided="collision" in verdict.violated)

@@ -28,13 +28,7 @@ MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow
 
 
 def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
-    """Compute dE_F of the parent (paper equation 15).
-
-    Args:
-        failed: whether the last mutant of the parent failed.
-        n_failed: #F, number of mutants that failed, including the last one.
-        n_passed: #NF, number of mutants that did not fail, including the last one.
-    """
+    """Compute dE_F of a parent (paper equation 15); #F of its mutants failed, #NF did not, including the last one."""
     if failed:
         return n_failed / (n_passed + n_failed)
     return -_BENIGN_SHARE * n_passed / (n_passed + n_failed)
@@ -43,13 +37,9 @@ def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
 def degree_change(parent_degree: float, degree: float, distance: float, *, bounded: bool, gamma: float) -> float:
     """Compute dE_V of a mutant and its parent (paper equation 16).
 
-    Args:
-        parent_degree: O_s, the violation degree of the parent [m].
-        degree: O_s', the violation degree of the mutant [m].
-        distance: dis(s', s), the distance of their behaviors, in [0, 1].
-        bounded: whether the printed formula is bounded by tanh. Unbounded, a single mutant at distance 1 changes the
-            energy by 1e5 per meter, and the selection never recovers from it.
-        gamma: the small number in the denominator, against division by zero.
+    The degrees are O_s of the parent and O_s' of the mutant [m], and the distance of their behaviors is dis(s', s) in
+    [0, 1]. Not bounded by tanh, a single mutant at distance 1 changes the energy by 1e5 per meter, and the selection
+    never recovers from it. `gamma` in the denominator prevents division by zero.
     """
     change = (parent_degree - degree) / (1 - distance + gamma)
     return math.tanh(change) if bounded else change
@@ -58,11 +48,7 @@ def degree_change(parent_degree: float, degree: float, distance: float, *, bound
 def selection_probabilities(energies: Floats) -> Floats:
     """Compute p_i of each testcase (paper equation 18), normalized over the positive energies so that they sum to 1.
 
-    Args:
-        energies: E of each testcase, shape (n,). If none is positive, all testcases are equally likely.
-
-    Returns:
-        Probabilities, shape (n,).
+    Energies and probabilities have the shape (n,). If no energy is positive, all testcases are equally likely.
     """
     weights = np.maximum(energies, 0.0)
     total = weights.sum()
@@ -71,29 +57,18 @@ def selection_probabilities(energies: Floats) -> Floats:
 
 @dataclass(slots=True)
 class Testcase:
-    """A kept scenario with its record. The paper calls it a seed.
-
-    Attributes:
-        number: number of the candidate that became this testcase.
-        scenario: the scenario to mutate.
-        parent: number of the testcase from which it was mutated, if any.
-        degree: violation degree of its execution, the paper's O [m].
-        behavior: index of its behavior in the miner.
-        selections: number of times that it was selected.
-        n_failed: number of its mutants that failed, the paper's #F.
-        n_passed: number of its mutants that did not fail, the paper's #NF.
-    """
+    """A kept scenario with its record. The paper calls it a seed."""
 
     __test__ = False  # keeps pytest from collecting the class
 
-    number: int
+    number: int  # number of the candidate that became this testcase
     scenario: Scenario
-    parent: int | None
-    degree: float
-    behavior: int
-    selections: int = 0
-    n_failed: int = 0
-    n_passed: int = 0
+    parent: int | None  # number of the testcase from which it was mutated, if any
+    degree: float  # violation degree of its execution, the paper's O [m]
+    behavior: int  # index of its behavior in the miner
+    selections: int = 0  # number of times that it was selected
+    n_failed: int = 0  # number of its mutants that failed, the paper's #F
+    n_passed: int = 0  # number of its mutants that did not fail, the paper's #NF
 
 
 class Corpus:
@@ -145,41 +120,32 @@ class Corpus:
 
 @validated
 class AssessmentOptions:
-    """Options of the assessment of an execution. With the defaults it equals the verdict.
+    """Options of the assessment of an execution. With the defaults it equals the verdict."""
 
-    Attributes:
-        degree: violation degree. "sum" is the sum of the specs' degrees, the paper's O. "clipped" is the mean of the
-            terms D_b, D_yellow, D_curb (at most 1 m each) and 1 - min(D, 10) / 10, as released.
-        box_shrink: length by which every vehicle is made shorter and narrower [m], for the clipped terms and for a
-            distance from the ego's box; twice the margin on each of its sides.
-        destination_from: part of the ego whose distance from the destination counts: its "center", or its "box", within
-            which the distance is 0.
-        destination_threshold: distance from the destination beyond which the end of an execution counts as a failure
-            [m]; None for the verdict of the spec.
-        retreat: growth of the distance to the destination within one frame beyond which an execution counts as a
-            failure and its trace is cut off [m]; None for no such limit.
-    """
-
+    # violation degree. "sum" is the sum of the specs' degrees, the paper's O. "clipped" is the mean of the terms D_b,
+    # D_yellow, D_curb (at most 1 m each) and 1 - min(D, 10) / 10, as released.
     degree: Literal["sum", "clipped"] = "sum"
+    # length by which every vehicle is made shorter and narrower [m], for the clipped terms and for a distance from the
+    # ego's box; twice the margin on each of its sides
     box_shrink: Annotated[float, between(0, MAX_SHRINK)] = 0.0
+    # part of the ego whose distance from the destination counts: its "center", or its "box", within which the distance
+    # is 0
     destination_from: Literal["center", "box"] = "center"
+    # distance from the destination beyond which the end of an execution counts as a failure [m]; None for the verdict
+    # of the spec
     destination_threshold: Annotated[float, between(0)] | None = None
+    # growth of the distance to the destination within one frame beyond which an execution counts as a failure and its
+    # trace is cut off [m]; None for no such limit
     retreat: Annotated[float, between(0)] | None = None
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """Assessment of an execution for a search.
+    """Assessment of an execution for a search."""
 
-    Attributes:
-        trace: the trace, up to its cut if it was cut off.
-        degree: violation degree, the paper's O. A lower degree is nearer to a violation.
-        failed: whether the execution counts as a failure.
-    """
-
-    trace: Trace
-    degree: float
-    failed: bool
+    trace: Trace  # the trace, up to its cut if it was cut off
+    degree: float  # violation degree, the paper's O. A lower degree is nearer to a violation.
+    failed: bool  # whether the execution counts as a failure
 
 
 def assess(trace: Trace, verdict: Verdict, line_kinds: Sequence[str], options: AssessmentOptions) -> Assessment:
@@ -236,68 +202,45 @@ class BehAVExplorOptions:
 
     Other values of these options give the behavior of the authors' released program and the paper's ablations. The
     presets are in `configs/`, and docs/methods.md has a table of them.
-
-    Attributes:
-        initial_corpus: number of scenarios executed before the first mutation. The paper does not state it.
-        initial_energy: E of the initial testcases.
-        novelty: source of novelty. "measured" is the novelty of a mutant's behavior. "random" is a control in which
-            novelty and distance are drawn from [0, 1]. "none" is the paper's w/o BG.
-        novelty_threshold: theta_c. A behavior is novel if its distance from all known ones is greater.
-        known: testcases whose behaviors are known (the paper's Y): all that were "kept", or only initial and "novel"
-            ones.
-        selection: selection of the testcase to mutate, by "energy" or "uniform" (the paper's w/o Energy).
-        mutation: choice of the mutation, by the testcase's "energy" or at "random" (w/o Energy).
-        waypoint_share: probability of a waypoint mutation if mutations are chosen at random.
-        waypoint_energy: theta_e. Testcases with more energy get a waypoint mutation, all others a route mutation.
-        waypoint_keep_probability: epsilon of waypoint mutation, the probability that an NPC stays unchanged.
-        route_keep_probability: epsilon of route mutation, the probability that an NPC stays unchanged.
-        point_keep_probability: probability that a waypoint of a chosen NPC stays unchanged.
-        sigma_position: standard deviation of waypoint mutation [m].
-        sigma_speed: standard deviation of waypoint mutation [m/s].
-        sigma_draw: in highway-env environments, the standard deviation of the small mutation of a draw, as a share of
-            the draw's range.
-        failure_weight: w_1, weight of the failure frequency.
-        degree_weight: w_2, weight of the change of the violation degree.
-        selection_weight: w_3, weight of the selection frequency.
-        route_cost: energy that a parent loses with each route mutation in place of the three terms. The mutant then
-            counts neither as failed nor as passed. None for the three terms, as for any other mutant.
-        least_energy: energy below which no testcase falls; None for no limit.
-        mutant_energy: initial energy of a kept mutant. "degree-change" is 1 + w_2 dE_V (paper equation 17).
-            "degree-and-novelty" is 1 + dO / 2 + d / 2, with the mutant's gain in degree dO and its novelty d.
-        success: mutants that count as failures in the failure frequency, "failed" ones or "failed-or-novel" ones.
-        degree_distance: the distance d in the denominator 1 - d of the change of the violation degree: the mutant's
-            distance from its "parent", or from the nearest of all "known" behaviors.
-        bounded: whether the change of the violation degree is bounded by tanh. The paper prints it unbounded.
-        gamma: the small number in the denominator 1 - d + gamma of the change of the violation degree.
-        assessment: options for the violation degree and the failure of an execution, as the search sees them.
-        miner: options for abstracting behaviors.
     """
 
-    initial_corpus: Annotated[int, between(1)] = 4
-    initial_energy: float = 1.0
+    initial_corpus: Annotated[int, between(1)] = 4  # scenarios before the first mutation; not stated in the paper
+    initial_energy: float = 1.0  # E of the initial testcases
+    # source of novelty. "measured" is the novelty of a mutant's behavior. "random" is a control in which novelty and
+    # distance are drawn from [0, 1]. "none" is the paper's w/o BG.
     novelty: Literal["measured", "random", "none"] = "measured"
-    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD
+    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # theta_c: novel behaviors are farther away
+    # testcases whose behaviors are known (the paper's Y): all that were "kept", or only initial and "novel" ones
     known: Literal["kept", "novel"] = "kept"
-    selection: Literal["energy", "uniform"] = "energy"
-    mutation: Literal["energy", "random"] = "energy"
-    waypoint_share: Annotated[float, between(0, 1)] = 0.5
-    waypoint_energy: float = 0.5
-    waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
-    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
-    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0
-    sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0
-    sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0
+    selection: Literal["energy", "uniform"] = "energy"  # of the testcase to mutate; "uniform" is w/o Energy
+    mutation: Literal["energy", "random"] = "energy"  # choice by the testcase's energy, or at random (w/o Energy)
+    waypoint_share: Annotated[float, between(0, 1)] = 0.5  # of the mutations if they are chosen at random
+    waypoint_energy: float = 0.5  # theta_e: testcases with more get a waypoint mutation, others a route mutation
+    waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon, of an NPC
+    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon, of an NPC
+    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # of a waypoint of a chosen NPC
+    sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
+    sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0  # standard deviation of waypoint mutation [m/s]
+    # in highway-env environments, the standard deviation of the small mutation of a draw, as a share of the draw's
+    # range
     sigma_draw: Annotated[float, between(MIN_SIGMA, 1)] = 0.1
-    failure_weight: float = 0.5
-    degree_weight: float = 0.5
-    selection_weight: float = 1.0
+    failure_weight: float = 0.5  # w_1, weight of the failure frequency
+    degree_weight: float = 0.5  # w_2, weight of the change of the violation degree
+    selection_weight: float = 1.0  # w_3, weight of the selection frequency
+    # energy that a parent loses with each route mutation in place of the three terms. The mutant then counts neither as
+    # failed nor as passed. None for the three terms, as for any other mutant.
     route_cost: float | None = None
-    least_energy: float | None = None
+    least_energy: float | None = None  # energy below which no testcase falls; None for no limit
+    # initial energy of a kept mutant. "degree-change" is 1 + w_2 dE_V (paper equation 17). "degree-and-novelty" is 1 +
+    # dO / 2 + d / 2, with the mutant's gain in degree dO and its novelty d.
     mutant_energy: Literal["degree-change", "degree-and-novelty"] = "degree-change"
-    success: Literal["failed", "failed-or-novel"] = "failed"
+    success: Literal["failed", "failed-or-novel"] = "failed"  # mutants that count as failures in the failure frequency
+    # the distance d in the denominator 1 - d of the change of the violation degree: the mutant's distance from its
+    # "parent", or from the nearest of all "known" behaviors
     degree_distance: Literal["parent", "known"] = "parent"
-    bounded: bool = True
-    gamma: Annotated[float, between(1e-12, 1)] = GAMMA
+    bounded: bool = True  # whether the change of the violation degree is bounded by tanh, unlike in the paper
+    gamma: Annotated[float, between(1e-12, 1)] = GAMMA  # in the denominator 1 - d + gamma of the change of the degree
+    # options for the violation degree and the failure of an execution, as the search sees them
     assessment: AssessmentOptions = field(default_factory=AssessmentOptions)
     miner: MinerOptions = field(default_factory=MinerOptions)
 

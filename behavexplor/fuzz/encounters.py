@@ -45,32 +45,19 @@ _ATTEMPTS: Final = 1000
 
 
 class NearMiss(NamedTuple):
-    """A violation, or one that almost happened.
+    """A violation, or one that almost happened."""
 
-    Attributes:
-        spec: the spec's short name: "R1", "R2", "R3", or a user's.
-        niche: id of the class that the violation has or would have; for a collision, with the NPC's motion.
-        degree: distance from the violation; 0 for a violation.
-        partner: index of the NPC that took part or was nearest; -1 without NPCs.
-    """
-
-    spec: str
-    niche: str
-    degree: float
-    partner: int
+    spec: str  # the spec's short name: "R1", "R2", "R3", or a user's
+    niche: str  # id of the class that the violation has or would have; for a collision, with the NPC's motion
+    degree: float  # distance from the violation; 0 for a violation
+    partner: int  # index of the NPC that took part or was nearest; -1 without NPCs
 
 
 def near_misses(trace: Trace, verdict: Verdict, drive: Drive, reach: float) -> list[NearMiss]:
     """Return the violation of a failed execution, or the near misses of one that passed.
 
     A collision that an NPC caused teaches nothing about the ego, so it is left out. An execution in which the driving
-    system failed is left out, too.
-
-    Args:
-        trace: the trace.
-        verdict: its verdict.
-        drive: the ego's drive in the trace.
-        reach: greatest distance between the ego and a vehicle that is a near miss [m].
+    system failed is left out, too. A vehicle farther away than `reach` [m] is no near miss.
     """
     if not verdict.failed:
         ends = _near_ends(trace, drive)
@@ -171,27 +158,17 @@ def _partner(trace: Trace, event: ViolationEvent) -> int:
 
 @validated
 class EncountersOptions:
-    """Options of `Encounters`.
+    """Options of `Encounters`."""
 
-    Attributes:
-        initial: number of first candidates. The very first is the empty road. The others are uniform, or have vehicles
-            aimed at the ego's drive on the empty road.
-        uniform_share: share of uniform scenarios.
-        aimed_share: share of mutants that get a vehicle aimed at their parent's drive.
-        redrawn_share: share of mutants in which one vehicle is drawn anew. The other mutants have a vehicle tuned.
-        near: greatest distance of a vehicle that counts as a near miss [m].
-        elites: number of scenarios that a niche keeps.
-        failure_cost: number of tries that a failure counts as.
-        aiming: options of aiming.
-    """
-
+    # number of first candidates. The very first is the empty road. The others are uniform, or have vehicles aimed at
+    # the ego's drive on the empty road.
     initial: Annotated[int, between(1)] = 40
-    uniform_share: Annotated[float, between(0, 1)] = 0.1
-    aimed_share: Annotated[float, between(0, 1)] = 0.5
-    redrawn_share: Annotated[float, between(0, 1)] = 0.1
-    near: Annotated[float, between(0)] = 10.0
-    elites: Annotated[int, between(1)] = 4
-    failure_cost: Annotated[float, between(0)] = 0.5
+    uniform_share: Annotated[float, between(0, 1)] = 0.1  # share of uniform scenarios
+    aimed_share: Annotated[float, between(0, 1)] = 0.5  # of mutants that get a vehicle aimed at their parent's drive
+    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # of mutants with one vehicle drawn anew, not tuned
+    near: Annotated[float, between(0)] = 10.0  # greatest distance of a vehicle that counts as a near miss [m]
+    elites: Annotated[int, between(1)] = 4  # number of scenarios that a niche keeps
+    failure_cost: Annotated[float, between(0)] = 0.5  # number of tries that a failure counts as
     aiming: AimingOptions = field(default_factory=AimingOptions)
 
 
@@ -206,19 +183,12 @@ class Elite:
 
 @dataclass
 class Niche:
-    """The nearest misses of one class of violations.
+    """The nearest misses of one class of violations."""
 
-    Attributes:
-        spec: the spec of the class.
-        elites: the nearest misses, the nearest one first; at least one.
-        tries: number of mutants made from the elites; halved whenever a nearer miss is found.
-        failures: number of violations of this class.
-    """
-
-    spec: str
-    elites: list[Elite] = field(default_factory=list)
-    tries: float = 0.0
-    failures: int = 0
+    spec: str  # the spec of the class
+    elites: list[Elite] = field(default_factory=list)  # the nearest misses, the nearest one first; at least one
+    tries: float = 0.0  # number of mutants made from the elites; halved whenever a nearer miss is found
+    failures: int = 0  # number of violations of this class
 
     def weight(self, failure_cost: float) -> float:
         """Return how much the niche deserves another try."""
@@ -320,11 +290,7 @@ class Encounters:
         return npcs, TUNED
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Keep the violation, or each near miss, in its niche.
-
-        Returns:
-            The number of niches that were `improved`: they have a nearer miss now, or their first one.
-        """
+        """Keep the violation, or each near miss, in its niche, which is `improved` by a nearer miss or a first one."""
         drive = Drive.of(trace)
         if candidate.origin == EMPTY_ROAD:
             self._empty_road = drive
@@ -359,11 +325,6 @@ def tuned(npc: NPC, logical: ScriptedLogicalScenario, rng: np.random.Generator) 
 
     The size of the change is drawn over one and a half orders of magnitude, since some niches need a coarse change and
     others a fine one.
-
-    Args:
-        npc: a vehicle that is valid in `logical`.
-        logical: logical scenario with the lanes and the speed range.
-        rng: random generator.
     """
     low, high = logical.position_ranges(logical.roadmap.routes[npc.route]).T
     position, speed = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints]).T

@@ -19,13 +19,9 @@ GIVEN: Final = "given"  # origin of candidates
 
 @validated
 class GivenOptions:
-    """Options of `Given`.
+    """Options of `Given`."""
 
-    Attributes:
-        file: file with one scenario as JSON in each line.
-    """
-
-    file: str
+    file: str  # file with one scenario as JSON in each line
 
 
 class Given:
@@ -55,11 +51,9 @@ class Given:
 
 
 def read_scenarios(path: Path, logical: LogicalScenario) -> list[Scenario]:
-    """Return the scenarios of a file as scenarios of a logical scenario.
+    """Return the scenarios of a file, one as JSON in each line, as scenarios of a logical scenario.
 
-    Args:
-        path: file with one scenario as JSON in each line.
-        logical: the logical scenario, in which another driver may drive.
+    Another driver may drive in it than in that of the file.
 
     Raises:
         InputError: if the file cannot be read, or a scenario is not valid; the message names the line.

@@ -26,10 +26,7 @@ SHIPPED: Final = frozenset({*METHODS, *METHODS.values(), GIVEN})
 
 
 def load_method(name: str) -> type[SearchMethod]:
-    """Return the class of a search method.
-
-    Args:
-        name: one of `METHODS`, or "package.module:attribute".
+    """Return the class of a search method, one of `METHODS` or "package.module:attribute".
 
     Raises:
         InputError: if there is no search method of that name.

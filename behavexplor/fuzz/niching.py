@@ -35,21 +35,13 @@ _ATTEMPTS: Final = 100
 
 @validated
 class NichingOptions:
-    """Options of `Niching`.
+    """Options of `Niching`."""
 
-    Attributes:
-        population: number of executions that may become parents.
-        initial: number of uniform scenarios executed before the first child.
-        penalty: how much worse an execution becomes when its niche is seen e times as often [s].
-        exchange: probability that a child takes each vehicle from either of two parents.
-        redraw: probability that a mutation draws vehicles anew; otherwise, it adds noise.
-    """
-
-    population: Annotated[int, between(1, MAX_POPULATION)] = 20
-    initial: Annotated[int, between(1)] = 20
-    penalty: Annotated[float, between(0)] = 0.5
-    exchange: Annotated[float, between(0, 1)] = 0.5
-    redraw: Annotated[float, between(0, 1)] = 0.4
+    population: Annotated[int, between(1, MAX_POPULATION)] = 20  # number of executions that may become parents
+    initial: Annotated[int, between(1)] = 20  # number of uniform scenarios executed before the first child
+    penalty: Annotated[float, between(0)] = 0.5  # worse by this when the niche is seen e times as often [s]
+    exchange: Annotated[float, between(0, 1)] = 0.5  # probability that a child takes a vehicle from either parent
+    redraw: Annotated[float, between(0, 1)] = 0.4  # probability that vehicles are drawn anew; else, noise is added
 
 
 class _Parent(NamedTuple):
@@ -113,11 +105,7 @@ class Niching:
         return np.abs((blocks + noise + 1.0) % 2.0 - 1.0)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Count the niche of an execution, and keep the best parents.
-
-        Returns:
-            The `time_left` until the nearest collision [s].
-        """
+        """Count the niche of an execution, and keep the best parents; tell the `time_left` until a collision [s]."""
         nearest = ClosestApproach.of(trace)
         niche = _niche(trace, verdict, nearest)
         time_left = nearest.time_left if nearest else LONGEST

@@ -24,19 +24,12 @@ OFFSPRING = "offspring"  # origin of candidates
 
 @validated
 class NSGA2Options:
-    """Options of `NSGA2`. The defaults are pymoo's, except for the population, which is smaller.
+    """Options of `NSGA2`. The defaults are pymoo's, except for the population, which is smaller."""
 
-    Attributes:
-        population: number of individuals in a generation.
-        crossover_probability: probability of simulated binary crossover.
-        crossover_eta: distribution index of the crossover. With a greater index, offspring resemble their parents more.
-        mutation_eta: distribution index of polynomial mutation.
-    """
-
-    population: Annotated[int, between(4, MAX_POPULATION)] = 20
-    crossover_probability: Annotated[float, between(0, 1)] = 0.9
-    crossover_eta: Annotated[float, between(0)] = 15.0
-    mutation_eta: Annotated[float, between(0)] = 20.0
+    population: Annotated[int, between(4, MAX_POPULATION)] = 20  # number of individuals in a generation
+    crossover_probability: Annotated[float, between(0, 1)] = 0.9  # probability of simulated binary crossover
+    crossover_eta: Annotated[float, between(0)] = 15.0  # a greater index makes offspring resemble their parents more
+    mutation_eta: Annotated[float, between(0)] = 20.0  # distribution index of polynomial mutation
 
 
 class _BredGeneration:
@@ -94,11 +87,7 @@ class NSGA2:
         self._queue.extend((generation, index) for index in range(len(generation.vectors)))
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Set the objectives of an individual, and end its generation if it was the last one.
-
-        Returns:
-            The `objectives`, one for each spec.
-        """
+        """Set the objectives, one for each spec, of an individual, and end its generation if it was the last one."""
         generation, index = self._in_flight.pop(candidate.number)
         generation.vectors[index] = self._asker.told(candidate)
         generation.values[index] = objectives(verdict)

@@ -44,11 +44,7 @@ SCALES: Mapping[Measure, float] = MappingProxyType(  # values that are scaled to
 
 
 def describe(trace: Trace, measures: Sequence[Measure]) -> Floats:
-    """Compute measures of the ego's behavior in an execution.
-
-    Returns:
-        Measures in [0, 1], shape (measures,).
-    """
+    """Compute measures of the ego's behavior in an execution, each in [0, 1], shape (measures,)."""
     states = state_matrix(trace).astype(np.float64)
     speed, across = states[:, 0], np.abs(states[:, 5])
     values = {
@@ -73,29 +69,19 @@ def check_measures(measures: Sequence[Measure]) -> None:
 
 @validated
 class VariationOptions:
-    """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1).
+    """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1)."""
 
-    Attributes:
-        iso_sigma: standard deviation of the noise on every gene, as a share of its range.
-        line_sigma: standard deviation of the step toward the second elite, as a share of the distance.
-        npc_keep_probability: probability that an NPC stays as in the first elite. Noise on all NPCs at once would
-            destroy most of what made the elite good.
-    """
-
-    iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05
-    line_sigma: Annotated[float, between(0, 10)] = 0.2
+    iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05  # deviation of the noise on a gene, as a share of its range
+    line_sigma: Annotated[float, between(0, 10)] = 0.2  # of the step to the second elite, as a share of the distance
+    # probability that an NPC stays as in the first elite. Noise on all NPCs at once would destroy most of what made the
+    # elite good.
     npc_keep_probability: Annotated[float, between(0, 0.95)] = 0.5
 
 
 class EliteSearch:
     """The part that both methods share: uniform scenarios at first, then variations of two uniformly drawn elites.
 
-    Args:
-        logical: logical scenario.
-        seed: seed of the campaign.
-        options: options of the method.
-        archive: name of the class of pyribs.
-        settings: settings of the archive.
+    The archive is the name of a class of pyribs.
 
     Raises:
         InputError: if pyribs is not installed.
@@ -141,18 +127,11 @@ class EliteSearch:
 
 @validated
 class MAPElitesOptions:
-    """Options of `MAPElites`.
+    """Options of `MAPElites`."""
 
-    Attributes:
-        initial: number of uniform scenarios executed before the first variation.
-        measures: dimensions of the archive; see `SCALES`.
-        bins: number of cells along each measure.
-        variation: options for the variation of elites.
-    """
-
-    initial: Annotated[int, between(1)] = 20
-    measures: tuple[Measure, ...] = ("mean-speed", "braking")
-    bins: Annotated[int, between(1)] = 12
+    initial: Annotated[int, between(1)] = 20  # number of uniform scenarios executed before the first variation
+    measures: tuple[Measure, ...] = ("mean-speed", "braking")  # dimensions of the archive; see `SCALES`
+    bins: Annotated[int, between(1)] = 12  # number of cells along each measure
     variation: VariationOptions = field(default_factory=VariationOptions)
 
     def __post_init__(self) -> None:
@@ -173,11 +152,7 @@ class MAPElites(EliteSearch):
         super().__init__(logical, seed, options, "GridArchive", **cells)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Put a scenario into its cell, if the cell is empty or the scenario is better than the cell's elite.
-
-        Returns:
-            The `cell` of the scenario, and whether it was `kept`.
-        """
+        """Put a scenario into its `cell`. It is `kept` if it is better than the elite there, or the first one."""
         measures = describe(trace, self._options.measures)
         objective = 0.0 if verdict.failed else -verdict.degree
         status = self._archive.add_single(
@@ -192,20 +167,12 @@ class MAPElites(EliteSearch):
 
 @validated
 class NoveltySearchOptions:
-    """Options of `NoveltySearch`.
+    """Options of `NoveltySearch`."""
 
-    Attributes:
-        initial: number of uniform scenarios executed before the first variation.
-        measures: measures that distinguish behaviors; see `SCALES`.
-        neighbors: number of nearest neighbors whose mean distance is the novelty.
-        threshold: least novelty of a kept scenario, in the space of the measures, each of which spans [0, 1].
-        variation: options for the variation of kept scenarios.
-    """
-
-    initial: Annotated[int, between(1)] = 20
-    measures: tuple[Measure, ...] = tuple(SCALES)
-    neighbors: Annotated[int, between(1)] = 15
-    threshold: Annotated[float, between(0)] = 0.1
+    initial: Annotated[int, between(1)] = 20  # number of uniform scenarios executed before the first variation
+    measures: tuple[Measure, ...] = tuple(SCALES)  # measures that distinguish behaviors; see `SCALES`
+    neighbors: Annotated[int, between(1)] = 15  # number of nearest neighbors whose mean distance is the novelty
+    threshold: Annotated[float, between(0)] = 0.1  # least novelty of a kept scenario, by measures in [0, 1]
     variation: VariationOptions = field(default_factory=VariationOptions)
 
     def __post_init__(self) -> None:
@@ -223,11 +190,7 @@ class NoveltySearch(EliteSearch):
         super().__init__(logical, seed, options, "ProximityArchive", measure_dim=len(options.measures), **nearness)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Keep a scenario if its execution was novel.
-
-        Returns:
-            The mean `distance` from the nearest kept executions (1 for the first), and whether it was `kept`.
-        """
+        """Keep a scenario if its mean `distance` from the nearest kept executions, 1 for the first, is novel."""
         measures = describe(trace, self._options.measures)
         first = self._archive.empty
         added = self._archive.add_single(self._asker.told(candidate), None, measures, **{ELITES: candidate.number})

@@ -15,24 +15,17 @@ _KEEPING_DRAWS = 1  # purpose of the draws, to tell them apart from those that m
 
 @validated
 class RandomMutationOptions:
-    """Options of `RandomMutation`. The mutations are those of the paper.
+    """Options of `RandomMutation`. The mutations are those of the paper."""
 
-    Attributes:
-        initial_corpus: number of scenarios executed before the first mutation.
-        keep_probability: probability that a mutant that passed becomes a testcase. The paper does not state it. With 0,
-            only initial scenarios are ever mutated. With 1, every mutant that passed becomes a testcase.
-        npc_keep_probability: epsilon, the probability that an NPC stays unchanged.
-        sigma_position: standard deviation of waypoint mutation [m].
-        sigma_speed: standard deviation of waypoint mutation [m/s].
-        sigma_draw: in highway-env environments, the standard deviation of the small mutation of a draw, as a share of
-            the draw's range.
-    """
-
-    initial_corpus: Annotated[int, between(1)] = 4
+    initial_corpus: Annotated[int, between(1)] = 4  # number of scenarios executed before the first mutation
+    # probability that a mutant that passed becomes a testcase. The paper does not state it. With 0, only initial
+    # scenarios are ever mutated. With 1, every mutant that passed becomes a testcase.
     keep_probability: Annotated[float, between(0, 1)] = 0.5
-    npc_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
-    sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0
-    sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0
+    npc_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon, that an NPC stays as is
+    sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
+    sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0  # standard deviation of waypoint mutation [m/s]
+    # in highway-env environments, the standard deviation of the small mutation of a draw, as a share of the draw's
+    # range
     sigma_draw: Annotated[float, between(MIN_SIGMA, 1)] = 0.1
 
 
@@ -75,11 +68,7 @@ class RandomMutation:
         return Candidate(number, self._logical.mutate_little(scenario, rng, noise), little, parent)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Keep a scenario that passed: an initial scenario always, a mutant at random.
-
-        Returns:
-            Whether the scenario was `kept`.
-        """
+        """Keep a scenario that passed: an initial scenario always, a mutant at random. Tell whether it was `kept`."""
         self._told += 1
         lucky = draws(self._seed, candidate.number, _KEEPING_DRAWS).random() < self._options.keep_probability
         kept = not verdict.failed and (candidate.parent is None or lucky)

@@ -49,23 +49,14 @@ KERNELS: tuple[Kernel, ...] = (POLYNOMIAL, RBF, GAUSSIAN_PROCESS)
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Several models of k objectives, fitted to the same n points.
-
-    Attributes:
-        kernels: kernel of each model.
-        points: training points, shape (n, features).
-        length: length scale of the kernels.
-        coefficients: coefficients of the kernels at the points, shape (models, n, k).
-        means: means of the objectives, which are subtracted before the fit, shape (k,).
-        weights: weights of the models, which sum to 1 for each objective, shape (models, k).
-    """
+    """Several models of k objectives, fitted to the same n points."""
 
     kernels: tuple[Kernel, ...]
-    points: Floats
-    length: float
-    coefficients: Floats
-    means: Floats
-    weights: Floats
+    points: Floats  # training points, shape (n, features)
+    length: float  # length scale of the kernels
+    coefficients: Floats  # coefficients of the kernels at the points, shape (models, n, k)
+    means: Floats  # means of the objectives, which are subtracted before the fit, shape (k,)
+    weights: Floats  # weights of the models, which sum to 1 for each objective, shape (models, k)
 
     def outputs(self, points: Floats) -> Floats:
         """Compute each model's predictions at points of shape (p, features). Returns shape (models, p, k)."""
@@ -74,13 +65,9 @@ class Ensemble:
         return np.asarray(values @ self.coefficients + self.means)
 
     def predict(self, points: Floats) -> tuple[Floats, Floats]:
-        """Predict objectives, and the greatest disagreement of the models about them.
+        """Predict objectives, and the greatest disagreement of the models, at points of shape (p, features).
 
-        Args:
-            points: points, shape (p, features).
-
-        Returns:
-            Weighted mean and widest difference of the models' predictions, each of shape (p, k).
+        These are the weighted mean and the widest difference of the models' predictions, each of shape (p, k).
         """
         outputs = self.outputs(points)
         return np.einsum("mpk,mk->pk", outputs, self.weights), outputs.max(0) - outputs.min(0)
@@ -96,10 +83,7 @@ def _products(points: Floats, others: Floats) -> tuple[Floats, Floats]:
 def fit_ensemble(points: Floats, values: Floats, rng: np.random.Generator) -> Ensemble:
     """Fit a quadratic polynomial, an RBF regressor and a Gaussian process, weighted by their errors on held-out rows.
 
-    Args:
-        points: training points, shape (n, features), n >= 2.
-        values: objectives at the points, shape (n, k).
-        rng: random generator that chooses the held-out rows.
+    The points have the shape (n, features), n >= 2, and the objectives there (n, k).
     """
     n = len(points)
     weights = np.full((len(KERNELS), values.shape[1]), 1 / len(KERNELS))
@@ -143,15 +127,7 @@ def _coefficients(kernel: Kernel, length: float, points: Floats, values: Floats)
 
 
 def survivors(values: Floats, count: int) -> Ints:
-    """Return the `count` fittest of n individuals, the fittest first.
-
-    Args:
-        values: objectives of the individuals, shape (n, k).
-        count: number of survivors, at most n.
-
-    Returns:
-        Indices of the survivors, shape (count,).
-    """
+    """Return the indices of the `count` fittest of n individuals, the fittest first; objectives have shape (n, k)."""
     ranks = preference_ranks(values)
     crowding = np.zeros(len(values))
     for rank in range(ranks.max() + 1):
@@ -193,47 +169,30 @@ class SAMOTAOptions:
     """Options of `SAMOTA`. The defaults are the published values where the publication states them.
 
     The preset `samota-seeded` has a variant whose searches begin with the best executions, failures included.
-
-    Attributes:
-        population: number of initial scenarios, and of predicted individuals in a generation of a global search.
-        adaptive_samples: number of points drawn for each initial scenario. The farthest from all earlier ones is taken.
-        start: first generation of a search: "random" individuals, or the "best" executed scenarios (in a local search
-            the executed scenarios of the cluster).
-        repeats: what happens to a proposed scenario that was executed already: "skip" it, or "redraw" one of its NPCs.
-        generations: number of generations of predicted individuals in a global search.
-        database_limit: greatest number of executions that a global surrogate learns from; half of them are the best
-            ones. It bounds the cost of an execution, which grows with the cube of this number.
-        local_share: share of the executions, the best of each objective, from which a local search starts.
-        local_limit: greatest number of executions from which a local search starts.
-        cluster_size: least number of executions in a cluster of a local search.
-        local_population: number of predicted individuals in a generation of a local search.
-        local_generations: number of generations of predicted individuals in a local search.
-        tournament: number of individuals from which the fittest becomes a parent; 1 for parents without selection.
-        crossover: "one-point" crossover of two vectors, or an exchange of whole "npcs".
-        crossover_probability: probability that two parents are crossed at a point, or that an NPC comes from the second
-            parent.
-        mutation: "uniform" for genes that are drawn anew, or "gaussian" for noise on genes.
-        mutation_probability: probability that a gene mutates; None for 1 / n with n genes.
-        mutation_sigma: standard deviation of "gaussian" noise, as a share of the gene's range.
     """
 
-    population: Annotated[int, between(2, MAX_POPULATION)] = 6
-    adaptive_samples: Annotated[int, between(1)] = 10
+    population: Annotated[int, between(2, MAX_POPULATION)] = 6  # initial scenarios; predictions in a global generation
+    adaptive_samples: Annotated[int, between(1)] = 10  # points drawn for an initial scenario; the farthest is taken
+    # first generation of a search: "random" individuals, or the "best" executed scenarios (in a local search the
+    # executed scenarios of the cluster)
     start: Literal["random", "best"] = "random"
-    repeats: Literal["skip", "redraw"] = "skip"
-    generations: Annotated[int, between(1)] = 200
+    repeats: Literal["skip", "redraw"] = "skip"  # "skip" a scenario that was executed, or "redraw" one of its NPCs
+    generations: Annotated[int, between(1)] = 200  # number of generations of predicted individuals in a global search
+    # greatest number of executions that a global surrogate learns from; half of them are the best ones. It bounds the
+    # cost of an execution, which grows with the cube of this number.
     database_limit: Annotated[int, between(10, 10_000)] = 300
-    local_share: Annotated[float, between(0.001, 1)] = 0.2
-    local_limit: Annotated[int, between(10, 10_000)] = 100
-    cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5
-    local_population: Annotated[int, between(2, MAX_POPULATION)] = 6
-    local_generations: Annotated[int, between(1)] = 200
-    tournament: Annotated[int, between(1, MAX_POPULATION)] = 10
-    crossover: Literal["one-point", "npcs"] = "one-point"
+    local_share: Annotated[float, between(0.001, 1)] = 0.2  # of the executions, the best, to start a local search from
+    local_limit: Annotated[int, between(10, 10_000)] = 100  # most executions from which a local search starts
+    cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5  # least number of executions in one, in a local search
+    local_population: Annotated[int, between(2, MAX_POPULATION)] = 6  # predictions in a generation of a local search
+    local_generations: Annotated[int, between(1)] = 200  # generations of predictions in a local search
+    tournament: Annotated[int, between(1, MAX_POPULATION)] = 10  # individuals, of which the fittest is a parent; 1: any
+    crossover: Literal["one-point", "npcs"] = "one-point"  # of two vectors at one point, or exchange of whole NPCs
+    # probability that two parents are crossed at a point, or that an NPC comes from the second parent
     crossover_probability: Annotated[float, between(0.001, 1)] = 0.75
-    mutation: Literal["uniform", "gaussian"] = "uniform"
-    mutation_probability: Annotated[float, between(0.001, 1)] | None = None
-    mutation_sigma: Annotated[float, between(0.001, 1)] = 0.2
+    mutation: Literal["uniform", "gaussian"] = "uniform"  # genes drawn anew, or noise on genes
+    mutation_probability: Annotated[float, between(0.001, 1)] | None = None  # of a gene; None for 1 / n with n genes
+    mutation_sigma: Annotated[float, between(0.001, 1)] = 0.2  # of the noise, as a share of the gene's range
 
 
 class _Extremes:
@@ -287,11 +246,7 @@ class SAMOTA:
         return self._queue.popleft()
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Add an execution to the database.
-
-        Returns:
-            The `objectives`, one for each spec.
-        """
+        """Add an execution to the database, and return its `objectives`, one for each spec."""
         values = objectives(verdict)
         if not self._values:
             self._uncovered = np.arange(len(values))
@@ -394,18 +349,7 @@ class SAMOTA:
         low: Floats | float = 0.0,
         high: Floats | float = 1.0,
     ) -> Floats:
-        """Breed points by selection, crossover and mutation.
-
-        Args:
-            parents: points from which the parents are selected, the fittest first, shape (p, n).
-            count: number of points to breed.
-            rng: random generator.
-            low: lower bounds of the genes, a number or shape (n,).
-            high: upper bounds of the genes, a number or shape (n,).
-
-        Returns:
-            The points, shape (count, n).
-        """
+        """Breed points, shape (count, n), of parents, the fittest first, shape (p, n). Bounds have shape (n,)."""
         bred = self._crossed_npcs if self._options.crossover == "npcs" else self._crossed_at_a_point
         children = bred(parents, count, rng)
         probability = self._options.mutation_probability or 1 / children.shape[1]

@@ -79,23 +79,18 @@ _WHOLE: Final = {  # classes without parts: of executions in which the driving s
 
 @dataclass(frozen=True)
 class ViolationClass:
-    """A kind of violation. Classes are comparable across campaigns.
+    """A kind of violation. Classes are comparable across campaigns."""
 
-    Attributes:
-        spec: "R1", "R2", "R3", or the name of a user's spec.
-        maneuver: the ego's maneuver.
-        conflict: position or origin of the other vehicle (R1), side of the touched line (R2), or end of the episode
-            (R3 and users' specs).
-        mark: second distinction: size of the other vehicle (R1), speed of the ego (R2), or the vehicle ahead of the
-            ego or its way past the destination (R3).
-        detail: further information that does not distinguish classes: whether the ego braked, crept or stood, its
-            touched side, and whether the other vehicle crept or stood.
-    """
-
-    spec: str
-    maneuver: str
+    spec: str  # "R1", "R2", "R3", or the name of a user's spec
+    maneuver: str  # the ego's maneuver
+    # position or origin of the other vehicle (R1), side of the touched line (R2), or end of the episode (R3 and users'
+    # specs)
     conflict: str
+    # second distinction: size of the other vehicle (R1), speed of the ego (R2), or the vehicle ahead of the ego or its
+    # way past the destination (R3)
     mark: str
+    # further information that does not distinguish classes: whether the ego braked, crept or stood, its touched side,
+    # and whether the other vehicle crept or stood
     detail: str = field(default="", compare=False)
 
     @property
@@ -158,14 +153,9 @@ def _vehicle(conflict: str, size: str) -> str:
 
 
 def violation_class(trace: Trace, violated: Sequence[str]) -> ViolationClass | None:
-    """Return the class of the first violated spec, R1 before R2 before R3 before the specs of a user.
+    """Return the class of the first violated spec, R1 before R2 before R3 before the specs of a user; None if none is.
 
-    Args:
-        trace: the trace of an episode. Its decision log is not used.
-        violated: names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
-
-    Returns:
-        The class, or None if no spec is violated.
+    The decision log of the trace is not used.
     """
     event = violation_event(trace, violated)
     return None if event is None else event_class(trace, event)
@@ -174,10 +164,8 @@ def violation_class(trace: Trace, violated: Sequence[str]) -> ViolationClass | N
 def event_class(trace: Trace, event: ViolationEvent, end: str | None = None) -> ViolationClass:
     """Return the class of a violation event, or the class that a violation would have had at a near miss.
 
-    Args:
-        trace: the trace of an episode. Its decision log is not used.
-        event: what was violated, or nearly violated, and when.
-        end: kind of end that a violation of R3 would have had; None for the end of the trace.
+    The decision log of the trace is not used. A violation of R3 would have had the kind of end `end`, or that of the
+    trace.
     """
     if event.spec == R1:
         return _collision(trace, event)

@@ -27,25 +27,15 @@ _Z: Final = 1.96  # quantile of the normal distribution for an interval of 95 %
 
 @dataclass(frozen=True)
 class Discovery:
-    """Estimates of what a campaign has not found yet.
-
-    Attributes:
-        executions: number of executions.
-        found: number of classes that were found.
-        new_chance: probability that the next execution shows a new class (Good-Turing).
-        unseen: estimated number of classes not found yet (Chao1). It is a lower bound on average.
-        unseen_low: lower end of the 95 % interval of `unseen`.
-        unseen_high: upper end of the 95 % interval of `unseen`.
-        once: number of classes that were seen once.
-    """
+    """Estimates of what a campaign has not found yet."""
 
     executions: int
     found: int
-    new_chance: float
-    unseen: float
-    unseen_low: float
-    unseen_high: float
-    once: int = 0
+    new_chance: float  # probability that the next execution shows a new class (Good-Turing)
+    unseen: float  # estimated number of classes not found yet (Chao1). It is a lower bound on average.
+    unseen_low: float  # lower end of the 95 % interval of `unseen`
+    unseen_high: float  # upper end of the 95 % interval of `unseen`
+    once: int = 0  # number of classes that were seen once
 
     @property
     def new_chance_limit(self) -> float:
@@ -68,11 +58,7 @@ class Discovery:
         return int(scipy.stats.nbinom.ppf(LEVEL, self.once + 1, 0.5))
 
     def outlook(self, method: str) -> str:
-        """Return a sentence on what a campaign has not found yet.
-
-        Args:
-            method: name of the search method.
-        """
+        """Return a sentence on what a campaign with this search method has not found yet."""
         if method not in INDEPENDENT:
             return "A guided search cannot tell how many classes it has not found; another seed finds more."
         return (
@@ -82,12 +68,7 @@ class Discovery:
 
     @classmethod
     def of(cls, classes: Iterable[str], executions: int) -> Self:
-        """Estimate from the classes of the failures.
-
-        Args:
-            classes: class of each failure.
-            executions: number of executions, failed or not.
-        """
+        """Estimate from the class of each failure, and the number of executions, failed or not."""
         counts = Counter(Counter(classes).values())
         found, once, twice = counts.total(), counts[1], counts[2]
         unseen, low, high = _chao1(found, once, twice, executions)
@@ -95,14 +76,7 @@ class Discovery:
 
 
 def _chao1(found: int, once: int, twice: int, executions: int) -> tuple[float, float, float]:
-    """Return the bias-corrected Chao1 estimate of the unseen classes, and its 95 % interval.
-
-    Args:
-        found: number of classes seen.
-        once: number of classes seen once.
-        twice: number of classes seen twice.
-        executions: number of executions.
-    """
+    """Return the bias-corrected Chao1 estimate of the unseen classes, and its 95 % interval."""
     if not executions or not once:
         return 0.0, 0.0, 0.0
     share = (executions - 1) / executions

@@ -19,32 +19,19 @@ REQUIREMENTS: Final = {Collision().name: R1, Lines().name: R2, Destination().nam
 
 @dataclass(frozen=True)
 class ViolationEvent:
-    """The first violation of a spec in a trace.
+    """The first violation of a spec in a trace."""
 
-    Attributes:
-        spec: "R1", "R2", "R3", or the name of a user's spec.
-        frame: frame of the violation; the last frame of the trace for all specs but R2.
-        partner: touched vehicle (R1, an index of `trace.size`) or touched line (R2, an index of
-            `trace.illegal_lines`); -1 for all other specs, and for an ego that left the road of a highway-env
-            environment.
-    """
-
-    spec: str
-    frame: int
+    spec: str  # "R1", "R2", "R3", or the name of a user's spec
+    frame: int  # frame of the violation; the last frame of the trace for all specs but R2
+    # touched vehicle (R1, an index of `trace.size`) or touched line (R2, an index of `trace.illegal_lines`); -1 for all
+    # other specs, and for an ego that left the road of a highway-env environment
     partner: int = -1
 
 
 def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | None:
-    """Return the violation event of the first violated spec.
+    """Return the violation event of the first violated spec; None if no spec is violated.
 
     The order is R1, R2, R3, since a collision keeps the ego from its destination, then the specs of the user.
-
-    Args:
-        trace: the trace of an episode.
-        violated: names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
-
-    Returns:
-        The event, or None if no spec is violated.
     """
     ranked = [*(name for name in REQUIREMENTS if name in violated), *violated]
     if not ranked or ranked[0] == ERROR:

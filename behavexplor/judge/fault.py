@@ -30,13 +30,10 @@ _ENDED_BY_COLLISION: Final = frozenset({Collision().name, Destination().name})
 
 
 def is_at_fault(fault: str | None) -> bool:
-    """Return whether the driving system is at fault for a failure.
+    """Return whether the driving system is at fault for a failure, by the verdict on its collision, if it is one.
 
     It is, unless the failure is a collision that an NPC caused, or one that triage found no way to avoid. A touched
     line, a missed destination and an error are always its own fault.
-
-    Args:
-        fault: verdict on the collision; None for another failure.
     """
     return fault not in NOT_AT_FAULT
 
@@ -46,10 +43,6 @@ def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
 
     A collision that another vehicle caused is left out. It also ended the drive, so a missed destination is left out
     with it.
-
-    Args:
-        trace: the trace of an episode.
-        violated: names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
     """
     if is_at_fault(contact_fault(trace)):
         return tuple(violated)
@@ -57,15 +50,7 @@ def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
 
 
 def collision_fault(trace: Trace, violated: Sequence[str]) -> Fault | None:
-    """Return the verdict on the collision for which a trace counts as a failure.
-
-    Args:
-        trace: the trace of an episode.
-        violated: names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
-
-    Returns:
-        The verdict, or None if R1 is not the first of the violated specs.
-    """
+    """Return the verdict on the collision for which a trace counts as a failure; None if R1 is not violated first."""
     return contact_fault(trace) if violated and violated[0] == Collision().name else None
 
 

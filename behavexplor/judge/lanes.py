@@ -51,12 +51,9 @@ def lane_change(trace: Trace, frame: int, seconds: float) -> str:
 
 
 def maneuver(trace: Trace, frame: int, after: float) -> str:
-    """Return what the ego did in the last `BEFORE` up to a frame.
+    """Return what the ego did in the last `BEFORE` up to a frame in a highway-env environment.
 
-    Args:
-        trace: the trace of an episode in a highway-env environment.
-        frame: the frame.
-        after: time in which a lane change that has ended is still said [s].
+    A lane change that has ended is said for the time `after` [s].
     """
     side = lane_change(trace, frame, BEFORE)
     if side:
@@ -75,13 +72,7 @@ def had_crashed(trace: Trace, frame: int, npc: int) -> bool:
 
 
 def relation(trace: Trace, frame: int, npc: int) -> str:
-    """Return what the partner of a crash is, or where it was `BEFORE` the crash or when it appeared after that.
-
-    Args:
-        trace: the trace of an episode in a highway-env environment.
-        frame: the frame of the crash.
-        npc: the vehicle or obstacle.
-    """
+    """Return what the partner of a crash is, or where it was `BEFORE` the crash or when it appeared after that."""
     where = trace.signals[PARTNER] if npc == trace.partner else np.full(len(trace.time), ELSEWHERE)
     if where[frame] == OBSTACLE:
         return "obstacle"
@@ -98,14 +89,7 @@ def relation(trace: Trace, frame: int, npc: int) -> str:
 
 
 def _seen_from(trace: Trace, frame: int, npc: int, turned: float = 0.0) -> tuple[float, float]:
-    """Return how far a vehicle's center is ahead of the ego's, and how far to the right [m].
-
-    Args:
-        trace: the trace.
-        frame: the frame.
-        npc: the vehicle.
-        turned: angle of the direction that is ahead, from the ego's heading [rad].
-    """
+    """Return how far a vehicle is ahead of the ego, and to the right [m], seen at the angle `turned` [rad]."""
     x, y = trace.position[frame, npc] - trace.position[frame, 0]
     heading = trace.heading[frame, 0] + turned
     cos, sin = math.cos(heading), math.sin(heading)
@@ -126,13 +110,7 @@ def _on_another_road(trace: Trace, frame: int, npc: int) -> str:
 
 
 def _on_its_way(ahead: float, lanes: int, *, is_beside: bool) -> str:
-    """Return where a vehicle is that drives as the ego does.
-
-    Args:
-        ahead: how far its center is ahead of the ego's [m].
-        lanes: how many lanes it is to the right.
-        is_beside: whether it is beside a part of the ego.
-    """
+    """Return where a vehicle is that drives as the ego does: `ahead` of its center [m], `lanes` to the right of it."""
     if lanes == 0:
         return "leading" if ahead > 0 else "behind"
     side = "right" if lanes > 0 else "left"

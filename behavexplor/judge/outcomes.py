@@ -17,17 +17,11 @@ _FIRST_CODE: Final = ord("A")
 
 
 class Outcomes(NamedTuple):
-    """What happened in one scenario.
+    """What happened in one scenario."""
 
-    Attributes:
-        found: the outcomes, see `Evaluation`.
-        asked: the outcomes, beside the verdicts on a collision, that mean something in the environment.
-        at_fault: whether the driver failed by its own fault; see `behavexplor.campaign.record.Record.at_fault`.
-    """
-
-    found: tuple[str, ...]
-    asked: tuple[str, ...]
-    at_fault: bool
+    found: tuple[str, ...]  # the outcomes, see `Evaluation`
+    asked: tuple[str, ...]  # the outcomes, beside the verdicts on a collision, that mean something in the environment
+    at_fault: bool  # whether the driver failed by its own fault; see `behavexplor.campaign.record.Record.at_fault`
 
     @property
     def passed(self) -> bool:
@@ -67,25 +61,17 @@ def outcomes_from(found: Iterable[str], asked: Iterable[str], at_fault: bool) ->
 
 
 class OutcomeBlock(NamedTuple):
-    """The outcomes of scenarios that follow one another.
-
-    Attributes:
-        outcomes: the outcomes.
-        state: state of the generator that draws the scenarios behind them, as JSON values.
-    """
+    """The outcomes of scenarios that follow one another."""
 
     outcomes: list[Outcomes]
-    state: Any
+    state: Any  # state of the generator that draws the scenarios behind them, as JSON values
 
 
 class OutcomeFile:
     """The file of an evaluation, which goes on from it after an interruption at any moment.
 
-    The first line says what is evaluated, and each other one is a block. A line that was cut short is removed.
-
-    Args:
-        path: the file; it is created if it does not exist.
-        subject: what is evaluated, as JSON values.
+    It is created if it does not exist. The first line says what is evaluated, as JSON values, and each other one is a
+    block. A line that was cut short is removed.
 
     Raises:
         InputError: if the file cannot be used, or belongs to another evaluation.

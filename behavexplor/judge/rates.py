@@ -28,12 +28,9 @@ BELOW, ABOVE, KNOWN = "below", "above", "known"
 
 
 def clopper_pearson(failed: int, n: int, alpha: float = ALPHA) -> tuple[float, float]:
-    """Return the exact interval of a rate for a number of scenarios that was fixed before.
+    """Return the exact interval of a rate for a number n >= 1 of scenarios that was fixed before.
 
-    Args:
-        failed: number of scenarios that failed.
-        n: number of scenarios, at least 1.
-        alpha: probability with which the interval may miss the rate.
+    It may miss the rate with the probability alpha.
     """
     found = scipy.stats.binomtest(failed, n).proportion_ci(1.0 - alpha, "exact")
     return float(found.low), float(found.high)
@@ -46,16 +43,11 @@ class RateSequence:
     A rate p is kept at a time if B(k + a, n - k + b) / B(a, b) / (p^k (1 - p)^(n - k)) < 1 / alpha, with k failures in
     n scenarios. Under the true rate, this ratio is a martingale, and exceeds 1 / alpha at any time with a probability
     of at most alpha (Ville's inequality). The prior, a beta distribution, decides where the intervals are narrow.
-
-    Attributes:
-        a: first parameter of the prior.
-        b: second parameter of the prior.
-        alpha: probability with which the sequence may ever miss the rate.
     """
 
-    a: float = 0.5
-    b: float = 10.0
-    alpha: float = ALPHA
+    a: float = 0.5  # first parameter of the prior
+    b: float = 10.0  # second parameter of the prior
+    alpha: float = ALPHA  # probability with which the sequence may ever miss the rate
 
     @classmethod
     def for_rate(cls, rate: float, alpha: float = ALPHA) -> Self:
@@ -63,13 +55,7 @@ class RateSequence:
         return cls(b=1.0 / (3.0 * rate), alpha=alpha)
 
     def excludes(self, rate: Any, failed: Any, n: Any) -> Any:
-        """Return whether a rate is excluded. Arguments may be arrays.
-
-        Args:
-            rate: the rate, strictly between 0 and 1.
-            failed: number of scenarios that failed.
-            n: number of scenarios.
-        """
+        """Return whether a rate, strictly between 0 and 1, is excluded. Arguments may be arrays."""
         passed = n - failed
         mixture = scipy.special.betaln(failed + self.a, passed + self.b) - scipy.special.betaln(self.a, self.b)
         return mixture - failed * np.log(rate) - passed * np.log1p(-np.asarray(rate)) >= -math.log(self.alpha)
@@ -95,19 +81,15 @@ class RateSequence:
 class Goal:
     """What is to be known of the rate of an outcome before an evaluation ends.
 
-    Attributes:
-        outcome: a name of `behavexplor.evaluation.Evaluation.counts`; `AT_FAULT` for failures by the driver's own
-            fault, or `FAILED` for all failures.
-        below: whether the rate is below this one is to be known; None for `until`.
-        until: greatest half of the interval's width, as a share of the rate.
-
     Raises:
         InputError: if a value is out of range, or not exactly one of `below` and `until` is given.
     """
 
+    # a name of `behavexplor.evaluation.Evaluation.counts`; `AT_FAULT` for failures by the driver's own fault, or
+    # `FAILED` for all failures
     outcome: str = "collision"
-    below: float | None = None
-    until: float | None = None
+    below: float | None = None  # whether the rate is below this one is to be known; None for `until`
+    until: float | None = None  # greatest half of the interval's width, as a share of the rate
 
     def __post_init__(self) -> None:
         if (self.below is None) == (self.until is None):
@@ -125,21 +107,13 @@ class Goal:
 
 @dataclass(frozen=True)
 class Decision:
-    """What an evaluation has found out of the rate of an outcome. It is valid whenever the evaluation ended.
-
-    Attributes:
-        goal: what was to be known.
-        n: number of scenarios.
-        count: number of those with the outcome.
-        low: lower end of the 95 % interval of the rate.
-        high: upper end of it.
-    """
+    """What an evaluation has found out of the rate of an outcome. It is valid whenever the evaluation ended."""
 
     goal: Goal
     n: int
-    count: int
-    low: float
-    high: float
+    count: int  # number of those with the outcome
+    low: float  # lower end of the 95 % interval of the rate
+    high: float  # upper end of it
 
     @classmethod
     def of(cls, goal: Goal, n: int, count: int) -> Self:
@@ -169,19 +143,14 @@ class PairedSequence:
     """A sequential test of non-inferiority: a new driver against an old one, in the same scenarios, with a margin.
 
     Each pair is a bet on how much more often the new driver fails. Under the hypothesis that it is worse by at least
-    the margin, the capital is a supermartingale, as is its mean over several bets. If the capital ever reaches
-    1 / alpha, the new driver is non-inferior; mirrored bets show it to be inferior.
-
-    Args:
-        margin: greatest difference of the failure rates that counts as no worse, between 0 and 1.
-        alpha: probability with which either verdict may be wrong.
-
-    Attributes:
-        n: number of pairs.
-        verdict: `NON_INFERIOR`, `INFERIOR`, or "" while it is not decided. It does not change any more.
+    the margin, the capital is a supermartingale, as is its mean over several bets. If the capital ever reaches 1 /
+    alpha, the new driver is non-inferior; mirrored bets show it to be inferior. The margin, between 0 and 1, is the
+    greatest difference of the failure rates that counts as no worse; either verdict may be wrong with the probability
+    alpha.
     """
 
     def __init__(self, margin: float, alpha: float = ALPHA) -> None:
+        # pairs so far; `NON_INFERIOR` or `INFERIOR` once it is decided, which does not change any more
         self.n, self.verdict = 0, ""
         self._margin, self._goal = margin, -math.log(alpha)
         self._bets = {sign: np.geomspace(0.003, 0.98 / (1 - sign * margin), _BETS) for sign in (1, -1)}

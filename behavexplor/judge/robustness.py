@@ -25,18 +25,13 @@ RESERVED: Final = frozenset({"error", "arrived", "other", "R1", "R2", "R3", *(sp
 class RobustnessSpec:
     """A requirement given by a function from a trace to its signed robustness.
 
-    Attributes:
-        name: name in records, classes and reports.
-        robustness: the function. A negative value means that the trace violates the requirement.
-        source: origin of the function, for error messages.
-
     Raises:
         InputError: if the name cannot be used.
     """
 
-    name: str
-    robustness: Callable[[Trace], Any]
-    source: str = field(default="", compare=False)
+    name: str  # name in records, classes and reports
+    robustness: Callable[[Trace], Any]  # the function. A negative value means that the trace violates the requirement.
+    source: str = field(default="", compare=False)  # origin of the function, for error messages
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name) or self.name in RESERVED:
@@ -82,12 +77,9 @@ _WANTED: Final = "it must return a number, negative if the trace violates the re
 
 
 def as_spec(found: Any, source: str = "") -> Spec:
-    """Make a spec from a callable, or from a class whose instances are callable.
+    """Make a spec from a callable that takes a trace, or from a class whose instances are such.
 
-    Args:
-        found: a callable that takes a trace, or such a class. The spec takes its attribute `name`, or else its
-            `__name__`, as its name.
-        source: origin of the callable, for error messages.
+    Its name is its attribute `name`, or else its `__name__`. `source`, its origin, is for error messages.
 
     Raises:
         InputError: if `found` is not callable, or its name cannot be used.
@@ -100,10 +92,7 @@ def as_spec(found: Any, source: str = "") -> Spec:
 
 
 def load_specs(names: Sequence[str]) -> tuple[Spec, ...]:
-    """Return the specs of a campaign: R1, R2, R3, and the user's own specs.
-
-    Args:
-        names: the user's specs, each as "package.module:attribute".
+    """Return the specs of a campaign: R1, R2, R3, and the user's own specs, each named "package.module:attribute".
 
     Raises:
         InputError: if a spec cannot be imported or used, or two specs have the same name.
@@ -118,10 +107,7 @@ def load_specs(names: Sequence[str]) -> tuple[Spec, ...]:
 
 
 def load_spec(name: str) -> Spec:
-    """Import a user's spec.
-
-    Args:
-        name: the spec as "package.module:attribute".
+    """Import a user's spec, named "package.module:attribute".
 
     Raises:
         InputError: if the spec cannot be imported or used.

@@ -216,12 +216,9 @@ def _line_distance(trace: Trace) -> float:
 
 
 def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
-    """Return the least of n distances, given cheap bounds. A value of at most a trace's resolution counts as 0.
+    """Return the least of n distances [m], given cheap bounds. A value of at most a trace's resolution counts as 0.
 
-    Args:
-        lower: lower bound of each distance, shape (n,) [m].
-        upper: upper bound of the least distance [m].
-        exact: function from indices to exact distances.
+    `lower` bounds each distance, shape (n,), `upper` the least; `exact` returns the exact ones of indices.
     """
     open_ = np.flatnonzero(lower - _TOLERANCE <= upper)
     order = open_[np.argsort(lower[open_], kind="stable")]

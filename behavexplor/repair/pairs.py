@@ -62,17 +62,11 @@ class Pairs:
 
 
 class MarginDecision(NamedTuple):
-    """The verdict on the second driver: non-inferior to the first one by a margin, inferior, or undecided.
-
-    Attributes:
-        margin: the margin.
-        found: `NON_INFERIOR`, `INFERIOR`, or "" if it is not decided.
-        after: number of scenarios after which it was decided, or of all.
-    """
+    """The verdict on the second driver: non-inferior to the first one by a margin, inferior, or undecided."""
 
     margin: float
-    found: str
-    after: int
+    found: str  # `NON_INFERIOR`, `INFERIOR`, or "" if it is not decided
+    after: int  # number of scenarios after which it was decided, or of all
 
     @classmethod
     def of(cls, pairs: Sequence[Pairs], margin: float) -> Self:

@@ -21,7 +21,7 @@ from behavexplor.campaign.run_summary import RunSummary
 from behavexplor.data.durable import folder_in, new_file, write_durably
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
-from behavexplor.execution.start import logical_of_target, start_in_process
+from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
 
 BEST: Final = "best_model.zip"  # file in the callback's folder
@@ -144,7 +144,7 @@ class FuzzCallback(BaseCallback):
         config = config_of(given, self._env, **{"env_config": None, **self._settings})
         Budget.parse(config.budget)
         load_specs(config.specs)
-        with start_in_process(config.target, given.driver) as executor:
+        with start_executor(config.target, 0, driver=given.driver) as executor:
             search_method(config, logical_of_target(executor, config.env))
 
     def _on_step(self) -> bool:

@@ -30,24 +30,19 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Blame:
-    """The verdict on a collision.
+    """The verdict on a collision."""
 
-    Attributes:
-        kind: `ego_cut_in`, `npc_rear_end` or `struck_stationary` as in `behavexplor.judge.fault.contact_fault`;
-            otherwise `preventable` if there is a witness, `unpreventable` if none was found, or what that function
-            says, `npc_wreck` or `other`, if the search was impossible because the environment cannot run in lock-step.
-            In a highway-env environment, `standing_still_avoids_it` if all that avoid the crash fail otherwise, and one
-            of them stands in the end; if none stands, what that function says.
-        in_junction: whether the ego was inside a junction; False in a highway-env environment, where this is not known.
-        witness: evasion that avoids the collision, or in a highway-env environment another driver that keeps all its
-            requirements; None unless the collision is `preventable`.
-        tried: number of evasions, or of other drivers, that were driven.
-    """
-
+    # `ego_cut_in`, `npc_rear_end` or `struck_stationary` as in `behavexplor.judge.fault.contact_fault`; otherwise
+    # `preventable` if there is a witness, `unpreventable` if none was found, or what that function says, `npc_wreck` or
+    # `other`, if the search was impossible because the environment cannot run in lock-step. In a highway-env
+    # environment, `standing_still_avoids_it` if all that avoid the crash fail otherwise, and one of them stands in the
+    # end; if none stands, what that function says.
     kind: Kind
-    in_junction: bool
+    in_junction: bool  # whether the ego was inside a junction; False in highway-env, where it is not known
+    # evasion that avoids the collision, or in a highway-env environment another driver that keeps all its requirements;
+    # None unless the collision is `preventable`
     witness: Witness | OtherDriver | None = None
-    tried: int = 0
+    tried: int = 0  # number of evasions, or of other drivers, that were driven
 
     @property
     def at_fault(self) -> bool:

@@ -15,7 +15,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.execution.evaluator import Evaluator, recipe_for
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.simulation import Simulation
-from behavexplor.execution.start import start_executor, start_in_process
+from behavexplor.execution.start import start_executor
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import SPECS, Spec, judge
 from behavexplor.triage.blame import Blame, blame
@@ -70,10 +70,7 @@ def start_evaluator(
 ) -> Executor:
     """Start the executor of an evaluator of failures. Each may take `patience` times the time limit of an execution."""
     target = replace(config.target, time_limit=patience * config.time_limit)
-    recipe = recipe_for(kind, target, specs=config.specs)
-    if driver is not None:
-        return start_in_process(target, driver, recipe)
-    return start_executor(target, workers, recipe=recipe)
+    return start_executor(target, workers, recipe=recipe_for(kind, target, specs=config.specs), driver=driver)
 
 
 class Examiner(FailureEvaluator):

@@ -5,6 +5,7 @@ import sys
 import time
 from concurrent.futures import Future
 from contextlib import closing
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,6 +88,21 @@ def test_what_arrives_after_the_end_is_left_alone(caplog):
     late.set_result(TRACES[0])
     assert not judging.done()
     assert not caplog.records
+
+
+def test_what_waits_behind_a_group_that_fails_is_judged_nevertheless():
+    made, answers = Judges(1), []
+
+    def submit(*_):
+        answers.append(Future())
+        return answers[-1]
+
+    made._pool = SimpleNamespace(submit=submit)
+    first, second = made.follow(done(TRACES[0])), made.follow(done(TRACES[1]))
+    answers[0].set_exception(RuntimeError("a worker ended"))
+    assert first.exception(0).args == ("a worker ended",)
+    answers[1].set_result(packed([judged(TRACES[1])]))
+    assert second.result(0).data == TRACES[1]
 
 
 def test_messages_are_taken_apart():

@@ -1,7 +1,9 @@
 """The contract of every registered search method, and the registry itself."""
 
+import inspect
 import json
 import math
+import re
 import subprocess
 import sys
 from collections import deque
@@ -273,8 +275,10 @@ def test_options_are_a_frozen_dataclass_that_configs_can_fill(name):
     adapter = TypeAdapter(options)
     defaults = adapter.dump_python(options())
     assert adapter.validate_python(defaults) == options()
-    for field in fields(options):
-        assert f"{field.name}:" in options.__doc__
+    source = inspect.getsource(options)
+    for field in fields(options):  # each is described beside it, or by the docstring of its own class
+        beside = rf"^    # .*\n    {field.name}: |^    {field.name}: .*  # "
+        assert re.search(beside, source, re.MULTILINE) or is_dataclass(getattr(options(), field.name, None)), field.name
 
 
 @EVERY

@@ -327,10 +327,8 @@ def _occupy_lane(
     """Compute the stretches that an NPC's box occupies at its steps on one lane of its way.
 
     `start` is the station at step 0, relative to the start of the lane [m], and `step` the first step on the lane. With
-    `is_last`, the way goes straight on beyond the end of the lane.
-
-    Returns:
-        The first and the last step at which the box is on the path, -1 for none, and the first step beyond the lane.
+    `is_last`, the way goes straight on beyond the end of the lane. Returned are the first and the last step at which
+    the box is on the path, -1 for none, and the first step beyond the lane.
     """
     lanes, places, occupied = view.graph.lanes, view.graph.beside[lane], view.room.occupied
     straight = lanes[lane, CURVATURE] == 0.0
