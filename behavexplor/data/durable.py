@@ -35,6 +35,19 @@ def write_given(path: Path, text: str) -> None:
         write_durably(path, text)
 
 
+def append_durably(path: Path, content: bytes) -> None:
+    """Append to a file, which may not exist, and flush it to disk. A crash may leave a part of the content at its end.
+
+    Raises:
+        OSError: if it cannot be written, or is no regular file.
+    """
+    check_file(path)
+    with path.open("ab") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
 @contextmanager
 def new_file(path: Path) -> Iterator[BufferedWriter]:
     """Open a new file, which takes the place of `path` when the block ends without an error.

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from behavexplor.data.durable import check_file
+from behavexplor.data.durable import append_durably, check_file
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.errors import InputError
 from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault
@@ -87,7 +87,7 @@ class OutcomeFile:
             if whole < len(content):
                 os.truncate(path, whole)
             if not whole:
-                self._append(first)
+                append_durably(path, first)
         except OSError as error:
             raise InputError(f"{path} cannot be used: {error.strerror}") from None
         if whole and not content.startswith(first):
@@ -112,10 +112,5 @@ class OutcomeFile:
 
     def append(self, block: OutcomeBlock) -> None:
         """Write a block to disk."""
-        self._append(json.dumps({**packed(block.outcomes), "state": block.state}).encode() + b"\n")
-
-    def _append(self, line: bytes) -> None:
-        with self.path.open("ab") as file:
-            file.write(line)
-            file.flush()
-            os.fsync(file.fileno())
+        line = json.dumps({**packed(block.outcomes), "state": block.state})
+        append_durably(self.path, line.encode() + b"\n")

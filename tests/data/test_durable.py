@@ -19,6 +19,7 @@ OTHERS = {  # modules that write elsewhere than into a folder that a user names
     "campaign/database_file.py": "the lock, which check_file looks at",
     "jit.py": "compiled code, in a folder of its own",
     "campaign/provenance.py": "the list of own folders, in the user's state folder",
+    "execution/worker.py": "nothing: it opens the null device",
     "execution/worker_output.py": "nothing: it opens the null device",
 }
 WRITING = {"write_text", "write_bytes", "touch", "mkdir", "makedirs", "copyfile", "copytree", "write_xml"}
