@@ -186,8 +186,8 @@ def test_the_keyboard_drives_the_replay(browser):
 
 def test_all_can_be_reached_with_the_tab_key(browser):
     Card(browser)
-    browser.execute_script("document.activeElement.blur(); scrollTo(0, 0)")
-    reached = []
+    browser.execute_script("scrollTo({top: 0, behavior: 'instant'}); document.querySelector('.skip').focus()")
+    reached = ["skip"]
     for _ in range(14):
         browser.switch_to.active_element.send_keys(Keys.TAB)
         element = browser.switch_to.active_element
