@@ -27,12 +27,10 @@ ALL = (
     *((env, "constant:FASTER", False) for env in HIGHWAY_ENV),
     *((env, ads, False) for env in FUNCTIONAL_SCENARIOS for ads in ("rule", "idm", f"learned:{env}")),
     *(
-        (f"{name}-v0", f"{POLICIES}/{name}.zip", drawn)
-        for name in ("highway-fast", "merge", "roundabout")
-        for drawn in (False, True)
+        (f"{name}-v0", f"{POLICIES}/{name}.zip", False)
+        for name in ("highway-fast", "merge", "roundabout", "intersection")
     ),
-    ("intersection-v0", f"{POLICIES}/intersection.zip", False),
-    ("intersection-v0", f"{POLICIES}/intersection.zip", True),
+    *((f"{name}-v0", f"{POLICIES}/{name}.zip", True) for name in ("highway-fast", "roundabout", "intersection")),
 )
 
 
