@@ -34,8 +34,8 @@ _ENDED: Final = ("hang", "crash")  # kinds of errors that end a process, and say
 class Confirmation:
     """What came out when highway-env itself executed the scenario of a failure."""
 
-    # "confirmed"; "disagrees", an error of this package; or "changes" if the driving system itself does not drive the
-    # scenario in the same way twice
+    # "confirmed"; "disagrees", an error of this package; or "changes" if the driver or the environment does not do the
+    # same twice
     state: Literal["confirmed", "disagrees", "changes"]
     words: str = ""  # how the two executions differ; empty if they do not
 

@@ -1,4 +1,4 @@
-"""Judging in other processes: the same as in the campaign's own, whatever is judged in company with what."""
+"""Judging in other processes gives the same records as judging in the campaign's own."""
 
 import subprocess
 import sys

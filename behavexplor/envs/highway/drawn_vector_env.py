@@ -178,7 +178,7 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
 
 
 class FailureWatch:
-    """Whether episodes in lock-step have failed, as their traces would tell; see `episode_record`.
+    """Finds out which episodes in lock-step fail, without recording them; `episode_record` says what a failure is.
 
     Args:
         env: the environment.
