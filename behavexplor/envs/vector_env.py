@@ -90,15 +90,15 @@ class DrivingVectorEnv(LockStepVectorEnv):
         if seed is not None:
             self._generators[b], _ = seeding.np_random(seed)
 
-    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools]:
+    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools, int]:
         if self.checks_actions:
             check_actions(self.action_space, actions)
         stepped = self._episodes.ends == RUNNING
         terminated, truncated = self._episodes.decide(actions, stepped)
         self._episodes.observe(stepped)
         self._terms = self._episodes.terms(stepped) if self.gives_rewards else None
-        rewards = np.zeros(self.num_envs)
-        return rewards if self._terms is None else sum(self._terms, rewards), terminated, truncated, stepped
+        rewards = sum(() if self._terms is None else self._terms, np.zeros(self.num_envs))
+        return rewards, terminated, truncated, stepped, int(np.count_nonzero(terminated | truncated))
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> None:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one."""

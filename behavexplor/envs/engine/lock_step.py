@@ -80,12 +80,11 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
         """
         if self._idle:
             raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
-        rewards, terminated, truncated, stepped = self._decide(np.asarray(actions))
+        rewards, terminated, truncated, stepped, n_ended = self._decide(np.asarray(actions))
         infos: dict[str, Any] | None = None
-        if self._mode is AutoresetMode.SAME_STEP:
+        if self._mode is AutoresetMode.SAME_STEP and n_ended:
             ended = terminated | truncated
-            if np.count_nonzero(ended):
-                infos = self._last_infos(ended) | self._begin_again(stepped & ~ended, ended)
+            infos = self._last_infos(ended) | self._begin_again(stepped & ~ended, ended)
         elif self._mode is AutoresetMode.NEXT_STEP and np.count_nonzero(stepped) < self.num_envs:
             rested = ~stepped
             terminated[rested] = truncated[rested] = False
@@ -102,11 +101,11 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
 
     def _last_infos(self, ended: Bools) -> dict[str, Any]:
         """Return the last observations and infos of episodes that have ended, for autoreset in the same step."""
-        observations = np.full(self.num_envs, None, dtype=object)
+        observations = np.empty(self.num_envs, dtype=object)  # of None
         for b in ended.nonzero()[0].tolist():
             observations[b] = self._observations[b].copy()
-        infos, mask = self._infos(ended.copy()), ended.copy()
-        return {"final_obs": observations, "_final_obs": mask, "final_info": infos, "_final_info": mask}
+        mask = ended.copy()
+        return {"final_obs": observations, "_final_obs": mask, "final_info": self._infos(ended), "_final_info": mask}
 
     @abstractmethod
     def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
@@ -121,11 +120,12 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
         """Begin episodes in the chosen slots, shape (num_envs,), and observe them."""
 
     @abstractmethod
-    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools]:
+    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools, int]:
         """Simulate a decision in each slot whose episode has not ended, and observe it.
 
         Return arrays that the caller may change, each of shape (num_envs,): the rewards, whether the episodes have been
-        terminated and truncated, also earlier on, and whether they have taken a decision.
+        terminated and truncated, also earlier on, and whether they have taken a decision. Return also how many have
+        ended.
         """
 
     @abstractmethod

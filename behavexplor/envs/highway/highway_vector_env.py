@@ -22,9 +22,23 @@ from behavexplor.envs.engine.lock_step import LockStepVectorEnv
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.engine.state import make_scratch, make_slots
 from behavexplor.envs.engine.vehicle_parameters import TRAFFIC, classes_of_vehicles, kept_parameters
-from behavexplor.envs.highway import engine_making, episodes
+from behavexplor.envs.highway import engine_making
 from behavexplor.envs.highway.config_check import check_config, has_own_starts, known_class
 from behavexplor.envs.highway.conversion import SlotState, slot_state
+from behavexplor.envs.highway.episodes import (
+    BEGINNING,
+    DECISION,
+    FULL,
+    LOOK,
+    REFUSED,
+    REWARD,
+    STEPPED,
+    TERMINATED,
+    TRUNCATED,
+    Actions,
+    advance,
+    infos_of,
+)
 from behavexplor.envs.source_gate import ChangedError, classes_of, guard_of
 from behavexplor.envs.tasks.highway_tasks import KINDS, NUMBERS
 from behavexplor.envs.values import COUNT, FLAG, optional
@@ -104,7 +118,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         self._everywhere = np.ones(num_envs, dtype=bool)
         self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
         self._is_discrete = table is not None
-        self._actions = episodes.Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
+        self._actions = Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
         self._shown: Array = self._sampled_space.sample()  # the actions that infos show
         self._is_seeded = np.zeros(num_envs, dtype=bool)
         self._advance_slots = self._compile()
@@ -132,22 +146,17 @@ class HighwayVectorEnv(LockStepVectorEnv):
             self._engine.words[b, :N_WORDS] = generator_words(seeding.np_random(seed)[0])
         self._is_seeded[b] = True
 
-    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools]:
-        self._advance(episodes.DECISION, self._everywhere, actions)
+    def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools, int]:
+        n_ended = self._advance(DECISION, self._everywhere, actions)
         self._shown = actions.copy()
         self._decided = numbers, flags = self._outcome.numbers.copy(), self._outcome.flags.copy()
-        return (
-            numbers[episodes.REWARD],
-            flags[episodes.TERMINATED],
-            flags[episodes.TRUNCATED],
-            flags[episodes.STEPPED],
-        )
+        return numbers[REWARD], flags[TERMINATED], flags[TRUNCATED], flags[STEPPED], n_ended
 
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
         if begun is None:
-            return episodes.infos_of(self._kind, *self._decided, self._shown.copy(), stepped)
+            return infos_of(self._kind, *self._decided, self._shown.copy(), stepped)
         now = self._outcome.numbers.copy(), self._outcome.flags.copy()
-        return episodes.infos_of(self._kind, *now, self._shown.copy(), stepped | begun)
+        return infos_of(self._kind, *now, self._shown.copy(), stepped | begun)
 
     def state(self, b: int) -> SlotState:
         """Return a copy of the state of sub-environment b."""
@@ -186,12 +195,12 @@ class HighwayVectorEnv(LockStepVectorEnv):
         if self.places_own:
             seen = self._copy_starts(own)
         else:
-            self._advance(episodes.BEGINNING, own, actions, logs_start=logs_start)
+            self._advance(BEGINNING, own, actions, logs_start=logs_start)
         if starts or seen:
             copied = np.zeros(self.num_envs, dtype=bool)
             copied[[*starts, *seen]] = True
             words = self._engine.words[copied]
-            self._advance(episodes.LOOK, copied, actions, logs_start=logs_start)
+            self._advance(LOOK, copied, actions, logs_start=logs_start)
             self._engine.words[copied] = words  # highway-env has drawn the order of this observation already
         for b, observation in seen.items():
             self._observations[b] = observation
@@ -200,16 +209,16 @@ class HighwayVectorEnv(LockStepVectorEnv):
     def _compile(self) -> Callable[..., int]:
         """Compile the kernel for the types of this environment's arrays, or read it from the cache."""
         state = (self._engine, self._slots, self._scratch, self._outcome)
-        return compiled_for(episodes.advance, *state, self._everywhere, self._actions, episodes.DECISION, False)
+        return compiled_for(advance, *state, self._everywhere, self._actions, DECISION, False)
 
     def _advance(self, stage: int, mask: Bools, actions: Array, *, logs_start: bool = False) -> int:
         """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended."""
         self._put(actions)
         state = (self._engine, self._slots, self._scratch, self._outcome)
         n_ended = self._advance_slots(*state, mask, self._actions, stage, logs_start)
-        if n_ended == episodes.REFUSED:
+        if n_ended == REFUSED:
             check_actions(self.action_space, actions)
-        if n_ended == episodes.FULL:
+        if n_ended == FULL:
             raise InputError(f"An episode has more vehicles than the {self._slots.vehicles.shape[1]} that have room")
         return n_ended
 
