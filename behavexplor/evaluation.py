@@ -21,9 +21,18 @@ from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.rollout import LockStep, run_episodes
 from behavexplor.execution.start import start_executor
-from behavexplor.judge.outcomes import OutcomeBlock, OutcomeFile, Outcomes, outcomes_from, outcomes_of, packed, unpacked
+from behavexplor.judge.outcomes import (
+    OutcomeBlock,
+    OutcomeFile,
+    Outcomes,
+    outcomes_from,
+    outcomes_of,
+    outcomes_of_error,
+    packed,
+    unpacked,
+)
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Decision, Goal, clopper_pearson
-from behavexplor.judge.specs import SPECS
+from behavexplor.judge.specs import ERROR, SPECS
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
 _BETWEEN_LOOKS: Final = 1.005  # ratio of the numbers of scenarios at two looks at a rate
@@ -40,8 +49,9 @@ class Evaluation:
     """Outcomes of a number of scenarios."""
 
     n: int
-    # number of scenarios by outcome: "arrived", each spec for its violations, and "collision: " with each verdict on a
-    # collision. Outcomes are in the order in which they are reported.
+    # number of scenarios by outcome: "arrived", each spec for its violations, "collision: " with each verdict on a
+    # collision, "error" for failures of the driver's program, and "error: " with each kind of them. Outcomes are in the
+    # order in which they are reported.
     counts: Mapping[str, int]
     # what was decided on a rate, if the evaluation ended when enough was known. Its number of scenarios then depends on
     # what happened in them, so `interval` does not hold, but that of the decision does.
@@ -61,10 +71,12 @@ class Evaluation:
         for one, count in kinds.items():
             found.update(dict.fromkeys(one.found, count))
         asked = {outcome for one in kinds for outcome in one.asked}
-        faults = sorted(outcome for outcome in found if ": " in outcome)
-        names = [ARRIVED, SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:])]
+        details = sorted(outcome for outcome in found if ": " in outcome)
+        errors = [name for name in details if name.startswith(ERROR)]
+        faults = [name for name in details if name not in errors]
+        names = [ARRIVED, SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:]), ERROR, *errors]
         n = sum(kinds.values())
-        counts = {name: found[name] for name in names if name in asked or name in faults}
+        counts = {name: found[name] for name in names if name in asked or name in found}
         failed, at_fault = (sum(kinds[one] for one in kinds if _has(one, name)) for name in (FAILED, AT_FAULT))
         return cls(n, counts, failed=failed, at_fault=at_fault)
 
@@ -162,7 +174,6 @@ def estimate_rates(
     and is written to it.
 
     Raises:
-        ADSError: if the ADS fails in a scenario.
         InputError: if the file is damaged.
         RuntimeError: if a scenario could not be executed, or failed only once.
     """
@@ -231,7 +242,6 @@ def uniform_blocks(
     scenarios.
 
     Raises:
-        ADSError: if the ADS fails in a scenario.
         RuntimeError: if a scenario could not be executed, or failed only once.
     """
     is_counted = bool(judge.submit(_COUNTS, b"").result())
@@ -247,7 +257,7 @@ def uniform_blocks(
             found = []
             waiting = _each(judge, logical, _generator(before), len(own)) if is_counted else waiting
             for number, future in zip(own, waiting, strict=True):
-                found.append(outcomes_from(*json.loads(future.result())))
+                found.append(_judged(future))
                 observe(number + 1)
         observe(own.stop)
         return OutcomeBlock(found, after)
@@ -271,6 +281,14 @@ def _each(judge: Executor, logical: LogicalScenario, generator: np.random.Genera
     """Judge the next n scenarios one by one, by their traces."""
     scenarios = (logical.sample(generator) for _ in range(n))
     return [judge.submit(EXECUTE, scenario.to_json().encode()) for scenario in scenarios]
+
+
+def _judged(answer: "Future[bytes]") -> Outcomes:
+    """Return the outcomes of a scenario."""
+    try:
+        return outcomes_from(*json.loads(answer.result()))
+    except ADSError as error:
+        return outcomes_of_error(error.kind)
 
 
 def _counted(answer: "Future[bytes]", numbers: range) -> list[Outcomes] | None:

@@ -8,6 +8,7 @@ import pytest
 from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV, evaluation
 from behavexplor.data.target import Target
 from behavexplor.evaluation import STREAM, Evaluation, start_judge, uniform_outcomes
+from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.outcomes import outcomes_of, packed, unpacked
@@ -91,12 +92,23 @@ class Fallible(Cruiser):
         return super().predict(observation, state)
 
 
-def test_a_driver_that_fails_is_told_as_it_would_be_alone():
-    with (
-        start_judge(Target("lane-follow", "tests.test_counting:Fallible", unconfined=True), 0) as judge,
-        pytest.raises(ADSError, match="too near"),
-    ):
-        list(uniform_outcomes(judge, Simulation("lane-follow", "idm").logical, 300, 0))
+def test_scenarios_in_which_the_driver_fails_are_counted_one_by_one():
+    logical = Simulation("lane-follow", "idm").logical
+    with start_judge(Target("lane-follow", "tests.test_counting:Fallible", unconfined=True), 0) as judge:
+        found = list(uniform_outcomes(judge, logical, 300, 0))
+        generator = np.random.default_rng([STREAM, 0])
+        requests = [logical.sample(generator).to_json().encode() for _ in range(300)]
+        alone = []
+        for request in requests:
+            try:
+                judge.submit(EXECUTE, request).result()
+                alone.append(False)
+            except ADSError as error:
+                alone.append("too near" in str(error))
+    assert [one.found == ("error", "error: raised") for one in found] == alone
+    assert 0 < sum(alone) < 300
+    rates = Evaluation.of_outcomes(found)
+    assert rates.count("error") == rates.count("error: raised") == sum(alone) <= rates.failed
 
 
 def test_packed_outcomes_are_unpacked():

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behavexplor import evaluation
+from behavexplor import Run, evaluation
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, main
 from behavexplor.commands.evaluate import table
 from behavexplor.data.target import Target
@@ -281,10 +281,16 @@ def test_wrong_flags_are_refused(flag, value, capsys):
     assert value in capsys.readouterr().err
 
 
-def test_a_driver_that_fails_ends_the_evaluation_with_its_words(capsys):
-    flags = ["--env", "lane-follow", "--ads", "tests.drivers:Lost", "--workers", "1", "--scenarios", "3", "--quiet"]
-    assert main(["evaluate", *flags]) == EXECUTION_FAILED
-    assert "In one of the scenarios the ADS failed (invalid): predict must return finite" in capsys.readouterr().err
+def test_a_driver_that_fails_is_counted_and_kept_with_its_words(tmp_path, capsys):
+    flags = ["--env", "lane-follow", "--ads", "tests.drivers:Lost", "--workers", "1", "--scenarios", "3"]
+    assert main(["evaluate", *flags, "--out", str(tmp_path)]) == OK
+    said = capsys.readouterr()
+    assert "Warning: In the first scenarios, the ADS failed (invalid): predict must return finite" in said.err
+    rows = {line.split()[0]: line.split()[1] for line in said.out.splitlines()[2:4]}
+    assert rows == {"error": "100.0%", "invalid": "100.0%"}
+    assert "In 3 scenarios the driver itself failed" in said.out
+    errors = [record.error for record in Run(tmp_path / "failures").records]
+    assert [error["kind"] for error in errors] == ["invalid"] * 3
 
 
 def test_figures_that_cannot_be_written_are_named(tmp_path, capsys):

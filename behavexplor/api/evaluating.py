@@ -134,7 +134,6 @@ def evaluate(  # noqa: PLR0913 - one argument for each choice
 
     Raises:
         InputError: if an argument cannot be used.
-        behavexplor.execution.executor.ADSError: if the driver fails in a scenario.
     """
     if unused := sorted(_UNUSED & settings.keys()):
         raise InputError(
@@ -207,7 +206,6 @@ def board(
 
     Raises:
         InputError: if an argument or an entry cannot be used.
-        behavexplor.execution.executor.ADSError: if a driver fails in a scenario.
     """
     entries, folder, cards = listed(policies), Path(out), []
     alpha = ALPHA / len(entries)

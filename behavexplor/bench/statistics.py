@@ -1,4 +1,7 @@
-"""Means with confidence intervals, and statistical comparisons of two methods.
+"""Means over campaigns with confidence intervals, and statistical comparisons of two search methods.
+
+Intervals of a driver's failure rate are in `behavexplor.judge.rates`, those of the difference of two drivers in
+`behavexplor.repair.pairs`.
 
 The Mann-Whitney U test shows whether two methods differ, and Vargha and Delaney's A12 is the size of the difference.
 Van Elteren's test does so for several scenarios together. Holm's correction accounts for the number of comparisons in a

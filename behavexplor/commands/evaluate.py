@@ -32,10 +32,9 @@ from behavexplor.data.trace import ARRIVED
 from behavexplor.errors import InputError, sentence, unknown_name
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.evaluator import DRAWS
-from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import check_ads, logical_of_target
 from behavexplor.judge.rates import ABOVE, AT_FAULT, BELOW, FAILED, KNOWN, Goal
-from behavexplor.judge.specs import SPECS
+from behavexplor.judge.specs import ERROR, SPECS
 
 SCENARIOS, DECIDING, MOST_SCENARIOS = 1000, 1_000_000, 10_000_000
 _CODES: Final = MappingProxyType({BELOW: OK, KNOWN: OK, ABOVE: CHECK_FAILED, "": UNDECIDED})
@@ -107,10 +106,6 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         if policies is not None:
             return _ranked(policies, out, given, outcome, run, output)
         found = _evaluations(config, run, controls=controls)
-    except ADSError as error:
-        failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
-        say(f"{program()}: {sentence(failure)}", file=sys.stderr)
-        return EXECUTION_FAILED
     except (RuntimeError, ExecutionError) as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
@@ -128,6 +123,9 @@ def _say_rates(
     say(table(config.env, found), file=output)
     if DRAWN in found:
         say(_gap(own, found[DRAWN]), file=output)
+    if own.counts.get(ERROR):
+        kept = "the run of the failures has its messages" if folder else "--out FOLDER keeps them with its messages"
+        say(f"In {own.counts[ERROR]} scenarios the driver itself failed (error): {kept}.", file=output)
     if own.decision is not None:
         say(hanging("", f"{own.decision.words}, {CLAUSE.format(config.env)}"), file=output)
     if folder is not None:
@@ -150,7 +148,7 @@ def _ranked(policies: Path, out: Path | None, given: dict[str, Any], outcome: st
 
 def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None:
     """Return what is to be decided; None without a flag that asks for it."""
-    known = (ARRIVED, *(spec.name for spec in SPECS), AT_FAULT, FAILED)
+    known = (ARRIVED, *(spec.name for spec in SPECS), ERROR, AT_FAULT, FAILED)
     if outcome not in known:
         raise unknown_name("outcome", outcome, known)
     if below is None and until is None:

@@ -1,4 +1,8 @@
-"""What flags of several commands have in common, and flags that are made of the fields of a configuration."""
+"""What flags of several commands have in common, and flags that are made of the fields of a configuration.
+
+The help text of a flag is in the docstring of its command's function, or of the configuration (`CampaignConfig`,
+`Target`) that it is a field of.
+"""
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence

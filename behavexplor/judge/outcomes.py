@@ -10,7 +10,7 @@ from behavexplor.data.durable import append_durably, check_file
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.errors import InputError
 from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault
-from behavexplor.judge.specs import SPECS, judge
+from behavexplor.judge.specs import ERROR, SPECS, judge
 
 _SIGNALS: Final = {ARRIVED: ARRIVED, SPECS[1].name: OFF_ROAD, SPECS[2].name: ARRIVED}  # that an outcome needs
 _FIRST_CODE: Final = ord("A")
@@ -41,6 +41,11 @@ def outcomes_of(trace: Trace) -> Outcomes:
     asked = tuple(name for name in names if not trace.signals or _SIGNALS.get(name, CRASHED) in trace.signals)
     at_fault = bool(verdict.violated) and is_at_fault(collision_fault(trace, verdict.violated))
     return Outcomes(found, asked, at_fault)
+
+
+def outcomes_of_error(kind: str) -> Outcomes:
+    """Return the outcomes of a scenario in which the driver fails instead of driving, see `ADSError.kind`."""
+    return Outcomes((ERROR, f"{ERROR}: {kind}"), (), at_fault=True)
 
 
 def packed(outcomes: Sequence[Outcomes]) -> dict[str, Any]:

@@ -1,4 +1,7 @@
-"""Convert actions to the commands of the kernels: acceleration and steering, or the code of a maneuver."""
+"""Convert actions to the commands of the kernels: acceleration and steering, or the code of a maneuver.
+
+What a maneuver does is in `lane_keeping.take_maneuver`.
+"""
 
 from collections.abc import Callable
 from functools import partial

@@ -1,4 +1,4 @@
-"""Motion of a vehicle in a frame: `Vehicle.step`."""
+"""The kinematic bicycle model: motion of a vehicle in a frame."""
 
 import math
 

@@ -1,4 +1,7 @@
-"""highway-env's merges: make room for a vehicle that comes from a ramp (`MergeEnv`, `MergeGenericEnv`)."""
+"""highway-env's merges: make room for a vehicle that comes from a ramp (`MergeEnv`, `MergeGenericEnv`).
+
+The formulas of the terms of its reward are in `reward_terms.py`.
+"""
 
 from dataclasses import replace
 from types import MappingProxyType
