@@ -57,7 +57,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
             "default-planner" or "policies".
         out: Folder of the experiment.
         jobs: Number of campaigns at a time, each on one core; with --cluster, the number of nodes.
-        cluster: Run the campaigns on a Ray cluster (docs/robustness.md); without ADDRESS, on this machine.
+        cluster: Run the campaigns on a Ray cluster (docs/scale.md); without ADDRESS, on this machine.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load. May be repeated.
         dry_run: Only show the number of campaigns and how long they will take.
         tables_only: Only write the tables of the finished campaigns.

@@ -148,7 +148,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         config: YAML file with a configuration, or name of a preset such as "paper". Flags override it.
         workers: Greatest number of worker processes (no effect on the records). 0: this process, with no limits for the
             ADS; an ADS that is not shipped with behavexplor then needs --unconfined.
-        cluster: Run the workers on a Ray cluster (docs/robustness.md); without ADDRESS, on this machine.
+        cluster: Run the workers on a Ray cluster (docs/scale.md); without ADDRESS, on this machine.
         out: Run folder, new or empty.
         resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
         stop_after: Stop after this many failures, before the budget is used up.
