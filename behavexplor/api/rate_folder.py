@@ -19,6 +19,7 @@ from behavexplor.evaluation import Evaluation, Observe, failing
 from behavexplor.fuzz.methods import GIVEN
 from behavexplor.judge.outcomes import OutcomeFile
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED
+from behavexplor.judge.specs import ERROR
 from behavexplor.report.rendering import filled
 from behavexplor.report.run_page import written
 
@@ -89,7 +90,9 @@ class RateFolder:
         card = {
             "scenarios": own.n,
             "alpha": alpha,
-            "rates": {outcome: _rate(own, outcome, alpha) for outcome in (*own.counts, FAILED, AT_FAULT)},
+            "rates": {
+                outcome: _rate(own, outcome, alpha) for outcome in dict.fromkeys((*own.counts, FAILED, AT_FAULT, ERROR))
+            },
             "decision": own.decision and {**asdict(own.decision), "words": own.decision.words},
             "beside": {name: {"scenarios": one.n, **one.counts} for name, one in list(found.items())[1:]},
             "clause": CLAUSE.format(self._config.env),

@@ -1,13 +1,14 @@
 """Several drivers on one page, and what the Python interface of evaluations writes."""
 
 import json
+from pathlib import Path
 
 import pytest
 
 import behavexplor
 from behavexplor.api.evaluating import BOARD, listed
 from behavexplor.api.rate_folder import CARD
-from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
+from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 
 ENTRIES = {
@@ -57,18 +58,30 @@ def test_the_command_makes_the_same_page(ranked, tmp_path, capsys):
     assert "did you mean 'collision'?" in capsys.readouterr().err
 
 
-def test_a_driver_that_fails_ends_the_ranking_with_its_words(tmp_path, capsys):
+def test_a_driver_that_fails_is_ranked_with_its_errors(tmp_path):
     file = tmp_path / "policies.yaml"
-    file.write_text("lost: {ads: 'tests.drivers:Lost', env: lane-follow}\n")
-    flags = ["--scenarios", "3", "--workers", "1", "--quiet", "--out", str(tmp_path / "out")]
-    assert main(["evaluate", str(file), *flags]) == EXECUTION_FAILED
-    assert "In one of the scenarios the ADS failed (invalid)" in capsys.readouterr().err
+    file.write_text("lost: {ads: 'tests.drivers:Lost', env: lane-follow}\ncareful: {ads: idm, env: lane-follow}\n")
+    flags = ["--scenarios", "3", "--workers", "1", "--quiet", "--out", str(tmp_path / "out"), "--outcome", "error"]
+    assert main(["evaluate", str(file), *flags]) == OK
+    rates = [
+        json.loads((tmp_path / "out" / name / f"{CARD}.json").read_text())["rates"] for name in ("lost", "careful")
+    ]
+    assert [rate.get("error", {"count": 0})["count"] for rate in rates] == [3, 0]
+    text = (tmp_path / "out" / BOARD).read_text()
+    assert text.index('id="careful"') < text.index('id="lost"')
 
 
 def test_a_folder_of_policies_is_listed_by_names():
     found = listed("docs/data/policies")
     assert found["roundabout"] == {"ads": "docs/data/policies/roundabout.zip"}
     assert "stock-wide" not in found
+
+
+def test_the_list_in_docs_has_every_policy():
+    listed_drivers = {entry["ads"] for entry in listed("docs/data/policies/board.yaml").values()}
+    assert {entry["ads"] for entry in listed("docs/data/policies").values()} < listed_drivers
+    shipped = {f"learned:{file.stem}" for file in Path("behavexplor/ads/learned/policies").glob("*.npz")}
+    assert {*shipped, "rule", "idm", "careful"} < listed_drivers
 
 
 @pytest.mark.parametrize("given", [{}, {"a": {"env": "x"}}, {"../a": {"ads": "idm"}}, {"a": "idm"}])
