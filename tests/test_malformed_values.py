@@ -32,8 +32,8 @@ from behavexplor.ads.sb3.archive import DATA, SETTINGS
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
-from behavexplor.campaign.database import Row, insert
 from behavexplor.campaign.database_file import connect
+from behavexplor.campaign.database_rows import Row, insert
 from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main

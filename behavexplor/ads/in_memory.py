@@ -51,7 +51,7 @@ def given_driver(given: Any) -> GivenDriver:
     if _is_model(given):
         if (learned := _learned(given)) is not None:
             return learned
-        from behavexplor.ads.sb3.model import policy_of, training_env  # noqa: PLC0415 - imports torch
+        from behavexplor.ads.sb3.model_in_memory import policy_of, training_env  # noqa: PLC0415 - imports torch
 
         policy: Any = policy_of(given)
         return GivenDriver(f"{IN_MEMORY}:{type(given).__name__}", policy, training_env(given)[0])
@@ -86,7 +86,7 @@ def _learned(model: Any) -> GivenDriver | None:
             f"it without this wrapper"
         )
     from behavexplor.ads.sb3.dense_layers import trained_network  # noqa: PLC0415 - imports torch
-    from behavexplor.ads.sb3.model import training_env  # noqa: PLC0415
+    from behavexplor.ads.sb3.model_in_memory import training_env  # noqa: PLC0415
 
     driver: Any = LearnedDriver(env.roadmap, trained_network(model.policy))
     return GivenDriver(f"{IN_MEMORY}:{type(model).__name__}", driver, training_env(model)[0])

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, Self
 
-from behavexplor.campaign import database
+from behavexplor.campaign import database_rows
 from behavexplor.campaign.config import CONFIG
 from behavexplor.campaign.database_file import LOCK, connect, lock_folder
 from behavexplor.campaign.progress import known_stages
@@ -66,7 +66,7 @@ class Store:
         # sentence on how a damaged database was repaired when the run was reopened; None without damage
         self.repaired = repaired
         self._connection = connection
-        self._table = database.ExecutionTable(folder / DATABASE, connection)
+        self._table = database_rows.ExecutionTable(folder / DATABASE, connection)
         self._lock = lock  # None for readers
         self._pending: list[Execution] = []
 
@@ -170,11 +170,11 @@ class Store:
 
     def note(self, name: str) -> bytes:
         """Return a note that `add_note` wrote; nothing if there is none."""
-        return database.read_note(self._connection, name)
+        return database_rows.read_note(self._connection, name)
 
     def add_note(self, name: str, text: str) -> None:
         """Write a text to disk under a name."""
-        database.insert(self._connection, [], {name: text})
+        database_rows.insert(self._connection, [], {name: text})
 
     @property
     def ended(self) -> str | None:
@@ -207,10 +207,10 @@ class Store:
         rows = []
         for execution in self._pending:
             record = execution.record.to_json().encode()
-            rows.append(database.Row(execution.id, record, execution.trace, float(execution.elapsed)))
+            rows.append(database_rows.Row(execution.id, record, execution.trace, float(execution.elapsed)))
             if execution.record.failed:
                 self._write_failure(execution)
-        database.insert(self._connection, rows, {_STAGES: json.dumps(dict(stages))} if stages else {})
+        database_rows.insert(self._connection, rows, {_STAGES: json.dumps(dict(stages))} if stages else {})
         committed, self._pending = self._pending, []
         return committed
 
@@ -244,7 +244,7 @@ class Store:
         """
         for number, row in self._table.rows(traces=False):
             record = None
-            with suppress(database.DamagedError):
+            with suppress(database_rows.DamagedError):
                 record = None if row is None else _record(row)
             if record is not None:
                 if losses is not None and record.failed and not self.failure_path(number).is_file():
@@ -264,16 +264,16 @@ class Store:
         """
         try:
             row = self._table.row(number) if abs(number) < 2**63 else None
-        except database.DamagedError:
+        except database_rows.DamagedError:
             raise self._damaged(number) from None
         if row is None:
             raise InputError(f"{self.folder} has no execution {number}: it has {len(self)}, numbered from 0")
         return self._checked(row)
 
-    def _checked(self, row: database.Row) -> Execution:
+    def _checked(self, row: database_rows.Row) -> Execution:
         try:
             return _execution(row)
-        except database.DamagedError:
+        except database_rows.DamagedError:
             raise self._damaged(row.id) from None
 
     def recall(self, number: int) -> Execution | None:
@@ -286,7 +286,7 @@ class Store:
             if row is None:
                 return None
             execution = _execution(row)
-        except database.DamagedError:
+        except database_rows.DamagedError:
             return None
         if execution.record.failed and not self.failure_path(number).is_file():
             self._write_failure(execution)
@@ -319,18 +319,18 @@ def check_free(folder: Path) -> None:
         raise _unwritable(folder, error) from None
 
 
-def _execution(row: database.Row) -> Execution:
+def _execution(row: database_rows.Row) -> Execution:
     return Execution(_record(row), row.trace, row.elapsed)
 
 
-def _record(row: database.Row) -> Record:
+def _record(row: database_rows.Row) -> Record:
     """Return the record in a row."""
     try:
         record = Record.from_json(row.record)
     except ValueError as error:
-        raise database.DamagedError(str(error)) from None
+        raise database_rows.DamagedError(str(error)) from None
     if record.id != row.id:
-        raise database.DamagedError("it is the record of another execution")
+        raise database_rows.DamagedError("it is the record of another execution")
     return record
 
 
@@ -339,11 +339,11 @@ def _repaired(folder: Path) -> str | None:
     path = folder / DATABASE
     if not path.is_file():
         return None
-    if (found := database.written_format(path)) is not None:
+    if (found := database_rows.written_format(path)) is not None:
         _check_format(path, found)  # must come before any change
-    if database.is_whole(path):
+    if database_rows.is_whole(path):
         return None
-    count, kept = database.rebuild(path)
+    count, kept = database_rows.rebuild(path)
     return f"{path} was damaged: {count} executions were saved, the rest run again; the damaged file is now {kept.name}"
 
 
@@ -352,9 +352,9 @@ def _prepared(folder: Path) -> sqlite3.Connection:
     path = folder / DATABASE
     connection = connect(path, "rwc")
     try:
-        if database.is_empty(connection):
-            database.begin(connection)
-        _check_format(path, database.read_format(connection))
+        if database_rows.is_empty(connection):
+            database_rows.begin(connection)
+        _check_format(path, database_rows.read_format(connection))
     except BaseException:
         connection.close()
         raise
@@ -362,17 +362,17 @@ def _prepared(folder: Path) -> sqlite3.Connection:
 
 
 def _check_readable(path: Path, connection: sqlite3.Connection) -> None:
-    if database.is_empty(connection):
+    if database_rows.is_empty(connection):
         raise InputError(f"{path} is empty because the run has not begun: fuzz --resume begins it")
-    _check_format(path, database.read_format(connection))
+    _check_format(path, database_rows.read_format(connection))
 
 
 def _check_format(path: Path, found: str) -> None:
-    if found == database.FORMAT:
+    if found == database_rows.FORMAT:
         return
     other = re.fullmatch(r"[1-9]\d{0,8}", found)
     mend = "another version of behavexplor wrote it" if other else "it is damaged, or not a campaign's database"
-    raise InputError(f"{path} has format {found:.20}, but this version reads {database.FORMAT}: {mend}")
+    raise InputError(f"{path} has format {found:.20}, but this version reads {database_rows.FORMAT}: {mend}")
 
 
 def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:

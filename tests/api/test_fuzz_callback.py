@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
 import behavexplor
 from behavexplor.ads.in_memory import given_driver
-from behavexplor.ads.sb3.model import training_env
+from behavexplor.ads.sb3.model_in_memory import training_env
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
 from behavexplor.sb3 import FuzzCallback

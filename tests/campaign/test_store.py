@@ -5,7 +5,7 @@ import sqlite3
 
 import pytest
 
-from behavexplor.campaign.database import rebuild
+from behavexplor.campaign.database_rows import rebuild
 from behavexplor.campaign.record import DATABASE, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.scripted import ScriptedScenario

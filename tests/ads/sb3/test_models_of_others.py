@@ -27,7 +27,7 @@ from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import describe, files_of_model
 from behavexplor.ads.sb3.highway_fit import how_to_fit
-from behavexplor.ads.sb3.model import policy_of
+from behavexplor.ads.sb3.model_in_memory import policy_of
 from behavexplor.ads.sb3.normalization import Statistics
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.errors import InputError

@@ -8,7 +8,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from behavexplor.ads.loading import load_ads
-from behavexplor.ads.sb3.model import policy_of
+from behavexplor.ads.sb3.model_in_memory import policy_of
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.errors import InputError
 from behavexplor.execution.preflight import preflight_warnings
