@@ -2,7 +2,8 @@
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from math import inf
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +24,7 @@ from behavexplor.errors import InputError, brief
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Goal
+from behavexplor.judge.specs import SPECS
 from behavexplor.report.rendering import rendered
 from behavexplor.report.run_page import written
 
@@ -185,7 +187,7 @@ def board(
     policies: str | Path | Mapping[str, Mapping[str, Any]],
     out: str | Path,
     *,
-    outcome: str = Goal.outcome,
+    outcome: str = FAILED,
     scenarios: int = 1000,
     observe: Callable[[int], None] | None = None,
     **settings: Any,
@@ -196,7 +198,7 @@ def board(
         policies: settings of `evaluate` by name, with the driver as `ads`, and perhaps a `source` that the page shows;
             a YAML file of them; or a folder of policy files.
         out: folder for the page, and below it one for each driver, see `evaluate`.
-        outcome: outcome by whose rate they are ranked.
+        outcome: outcome by whose rate they are ranked, in each environment.
         scenarios: number of scenarios of each.
         observe: function that gets the number of evaluated drivers.
         settings: settings of `evaluate` where an entry has none of its own.
@@ -217,10 +219,16 @@ def board(
         cards.append({**json.loads((folder / name / f"{CARD}.json").read_text()), "name": name, "source": source})
         if observe is not None:
             observe(len(cards))
-    shown = [outcome, *(name for name in (AT_FAULT, FAILED, ARRIVED) if name != outcome)]
-    rows = sorted(cards, key=lambda card: card["rates"].get(outcome, {"rate": inf})["rate"])
-    heads = ["", "driver", "environment", "scenarios", *(f"{name} (interval)" for name in shown), "classes", "SHA-256"]
-    text = rendered(
-        "board.html.jinja", ("theme.js", "board.js"), rows=rows, heads=heads, shown=shown, outcome=outcome, alpha=alpha
-    )
-    return written(folder / BOARD, text)
+    return written(folder / BOARD, _page(cards, outcome, alpha))
+
+
+def _page(cards: Sequence[Mapping[str, Any]], outcome: str, alpha: float) -> str:
+    """Return the page that ranks drivers by their cards. Rates in different environments cannot be compared."""
+    shown = list(dict.fromkeys((outcome, FAILED, AT_FAULT, SPECS[0].name, ARRIVED)))
+    rows, counted = [], Counter[str]()
+    for card in sorted(cards, key=lambda card: (card["env"], card["rates"].get(outcome, {"rate": inf})["rate"])):
+        counted[card["env"]] += 1
+        rows.append({**card, "rank": counted[card["env"]]})
+    heads = ["", "driver", *shown, "scenarios", "classes", "SHA-256"]
+    values = {"rows": rows, "heads": heads, "shown": shown, "outcome": outcome, "alpha": alpha}
+    return rendered("board.html.jinja", ("theme.js", "board.js"), several=len(counted) > 1, **values)

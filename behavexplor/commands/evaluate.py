@@ -67,7 +67,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     scenarios: Annotated[int | None, flag("N", f"{SCENARIOS}, or {DECIDING} with --below or --until")] = None,
     below: Annotated[float | None, flag("P", None)] = None,
     until: Annotated[float | None, flag("SHARE", None)] = None,
-    outcome: Annotated[str, tyro.conf.arg(metavar="NAME")] = Goal.outcome,
+    outcome: Annotated[str | None, flag("NAME", f"{Goal.outcome}, or {FAILED} for a ranking")] = None,
     out: Annotated[Path | None, flag("FOLDER", None)] = None,
     workers: Annotated[int | None, flag("N", "the cores")] = None,
     json_file: JsonFile = None,
@@ -93,7 +93,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         quiet: Print only the table.
     """
-    output, goal = check_outputs(json_file), _goal(outcome, below, until)
+    output, goal = check_outputs(json_file), _goal(outcome or Goal.outcome, below, until)
     count = scenarios if scenarios is not None else DECIDING if goal else SCENARIOS
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
@@ -104,7 +104,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     run = _Run(count, config.seed, chosen_workers(workers), quiet, goal, folder)
     try:
         if policies is not None:
-            return _ranked(policies, out, given, outcome, run, output)
+            return _ranked(policies, out, {**given, "outcome": outcome or FAILED}, run, output)
         found = _evaluations(config, run, controls=controls)
     except (RuntimeError, ExecutionError) as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
@@ -135,11 +135,11 @@ def _say_rates(
             say(f"Failures: {program()} report {shlex.quote(str(folder.run))}", file=output)
 
 
-def _ranked(policies: Path, out: Path | None, given: dict[str, Any], outcome: str, run: "_Run", output: TextIO) -> int:
+def _ranked(policies: Path, out: Path | None, given: dict[str, Any], run: "_Run", output: TextIO) -> int:
     """Evaluate several drivers, and write the page that ranks them."""
     if out is None or "ads" in given or run.goal is not None:
         raise InputError(f"{policies} names the drivers: give --out FOLDER, and no --ads, --below or --until")
-    shared = {**given, "outcome": outcome, "scenarios": run.scenarios, "workers": run.workers}
+    shared = {**given, "scenarios": run.scenarios, "workers": run.workers}
     with Meter(sys.stderr, len(listed(policies)), "drivers", quiet=run.quiet) as meter:
         page = board(policies, out, observe=meter.show, **shared)
     say(f"Page: {page}", file=output)

@@ -29,13 +29,22 @@ def ranked(tmp_path_factory):
 def test_the_board_ranks_by_rate_and_divides_alpha(ranked):
     text = (ranked / BOARD).read_text()
     cards = {name: json.loads((ranked / name / f"{CARD}.json").read_text()) for name in ENTRIES}
-    rates = {name: card["rates"]["collision"]["rate"] for name, card in cards.items()}
-    assert rates["slower"] < rates["faster"]
-    assert text.index('id="slower"') < text.index('id="faster"')
+    rates = {name: card["rates"]["failed"]["rate"] for name, card in cards.items()}
+    best, worst = sorted(rates, key=rates.get)
+    assert rates[best] < rates[worst]
+    assert text.index(f'id="{best}"') < text.index(f'id="{worst}"')
     assert {card["alpha"] for card in cards.values()} == {0.025}
     assert "at most 2.5 %" in text
     assert "&lt;b&gt;none" in text
     assert "<b>none" not in text
+
+
+def test_drivers_are_ranked_in_each_environment(tmp_path):
+    here, there = ({"ads": "constant:FASTER", "env": env} for env in ("merge-v0", "roundabout-v0"))
+    text = behavexplor.board({"b": there, "a": here}, tmp_path, scenarios=8, workers=0).read_text()
+    assert "in each environment" in text
+    assert text.index('id="a"') < text.index('id="b"')
+    assert text.count('>1</td><th scope="row">') == 2
 
 
 def test_a_driver_has_the_same_rates_alone(ranked, tmp_path):
