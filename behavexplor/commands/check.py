@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
-from behavexplor.commands.flags import HowToRun, Switch, patience
+from behavexplor.commands.flags import GivenActivation, HowToRun, Switch, patience
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
 from behavexplor.commands.wording import say
@@ -23,6 +23,7 @@ def check(
     ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the suite's)")] = None,
     running: HowToRun,
     stochastic: Switch = False,
+    activation: GivenActivation = None,
     json_file: JsonFile = None,
     junit: JUnitFile = None,
 ) -> int:
@@ -33,12 +34,13 @@ def check(
         ads: Driving system under test, as for fuzz.
         running: How the driver runs.
         stochastic: Draw the actions of a stochastic policy, as in its training.
+        activation: Function between the layers of a policy whose file holds weights alone, as for fuzz.
         json_file: Also write the results to this JSON file; - is standard output, here and below.
         junit: Also write the results to this file as JUnit XML, which CI systems show.
     """
     suite, output = Suite.read(folder), check_outputs(json_file, junit)
     count = min(running.count, len(suite.cases))
-    settings = {"unconfined": running.unconfined, "stochastic": stochastic}
+    settings = {"unconfined": running.unconfined, "stochastic": stochastic, "activation": activation}
     waiting = patience(lambda note: None if running.quiet else say(note, file=sys.stderr))
     try:
         with waiting, opened_driver(suite, ads, count, running.trust, **settings) as drive:

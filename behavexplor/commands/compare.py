@@ -37,7 +37,7 @@ _CODES: Final = {NON_INFERIOR: OK, INFERIOR: CHECK_FAILED, "": UNDECIDED}
 
 _SETTINGS = settings(
     CampaignConfig,
-    "env env_config seed method budget specs trust unconfined traffic confirm stochastic",
+    "env activation env_config seed method budget specs trust unconfined traffic confirm stochastic",
     env=(f"that of A, or {CampaignConfig.env}", ""),
     method=("nsga2", " with --search"),
     budget=(CampaignConfig.budget, " with --search"),

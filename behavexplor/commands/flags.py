@@ -18,6 +18,7 @@ import tyro
 from behavexplor.campaign.config import read_yaml
 from behavexplor.campaign.provenance import JUDGED, AcceptedConfig, Consent
 from behavexplor.campaign.same_driver import accepted_run
+from behavexplor.data.target import Activation
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import MOST_WORKERS, available_cores
 
@@ -25,6 +26,9 @@ Switch = tyro.conf.FlagCreatePairsOff[bool]  # off without the flag
 RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 NewFolder = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 Trust = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIGEST")]
+GivenActivation = Annotated[
+    Activation | None, tyro.conf.DisallowNone, tyro.conf.arg(metavar="NAME", help_behavior_hint="")
+]
 _METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
     "budget": "N|TIME",
     "trust": "DIGEST",

@@ -18,15 +18,14 @@ from behavexplor.ads.sb3.archive import Archive, read_archive
 from behavexplor.ads.sb3.description import WEIGHTS, describe, files_of_model, find_model, named_env
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.ads.sb3.inert import Inert, Name
-from behavexplor.ads.weights.layers import ActingNetwork, chosen, networks_in, reason_against
+from behavexplor.ads.weights.layers import ActingNetwork, chosen, networks_in, reason_against, unused
 from behavexplor.ads.weights.tensors import TensorFile, read_tensors, tensors_in
 from behavexplor.campaign.config import read_yaml
 from behavexplor.commands import OK, program
-from behavexplor.commands.flags import Trust
+from behavexplor.commands.flags import GivenActivation, Trust
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
-from behavexplor.commands.wording import hanging, say
+from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DECLARED
-from behavexplor.data.target import Activation
 from behavexplor.data.untrusted import read_file
 from behavexplor.envs.making import highway_ids
 from behavexplor.errors import InputError, brief, unknown_name
@@ -56,9 +55,7 @@ _MOST: Final = 8  # networks or suspicions that are listed
 def inspect(
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")],
     *,
-    activation: Annotated[
-        Activation | None, tyro.conf.DisallowNone, tyro.conf.arg(metavar="NAME", help_behavior_hint="")
-    ] = None,
+    activation: GivenActivation = None,
     env_config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
     trust: Trust = (),
     json_file: JsonFile = None,
@@ -214,11 +211,12 @@ def _of_weights(file: TensorFile) -> dict[str, str]:
     network = chosen(networks_in(file), said.network)
     numbers = sum(array.size for array in file.arrays.values())
     facts = {
-        "holds": f"weights alone: {len(file.arrays)} tensors with {numbers} numbers",
+        "holds": f"weights alone: {counted(len(file.arrays), 'tensor')} with {numbers} numbers",
         "layers": _layers(file, said.network),
         **({"network": network.name} if network is not None and network.name else {}),
         **({"convolutions": _kernels(network)} if network is not None and network.convolutions else {}),
         "activation": said.activation or "not in the file",
+        **({"unused": ", ".join(rest[:_MOST])} if network is not None and (rest := unused(file, network)) else {}),
         "digest": file.digest,
     }
     return {**facts, **({"unusual": ". ".join(file.suspicions[:_MOST])} if file.suspicions else {})}

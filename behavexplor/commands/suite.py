@@ -62,6 +62,7 @@ def suite(
         env_config=first.env_config or {},
         traffic=first.traffic,
         stochastic=first.stochastic,
+        activation=first.activation,
         cases=tuple(cases.values()),
     ).write(out)
     folder = shlex.quote(str(out))

@@ -44,6 +44,8 @@ def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) ->
             data = file.read(most + 1)
     if len(data) > most or (is_file and status.st_size > most):
         raise InputError(f"{path} has more than {most} bytes, which are not read")
+    if data.startswith(b"version https://git-lfs"):
+        raise InputError(f"{path} only says where Git LFS has the file: fetch it by `git lfs pull` in its repository")
     return data
 
 

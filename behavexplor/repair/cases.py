@@ -17,7 +17,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_scenario import DEFAULT, Traffic
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.scenario import Scenario, read_scenario
-from behavexplor.data.target import CheckedTarget
+from behavexplor.data.target import Activation, CheckedTarget
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked
@@ -100,6 +100,7 @@ class Suite:
     env_config: Mapping[str, Any] = field(default_factory=dict)
     traffic: Traffic = DEFAULT  # kind of traffic in a highway-env environment
     stochastic: bool = False  # whether the driver that failed drew its actions. It does so in checks, too.
+    activation: Activation | None = None  # function between the layers of this driver, if it is a file of weights
     # SHA-256 of the files of this driver, see `behavexplor.campaign.same_driver.driver_digests`
     digests: Mapping[str, str] = field(default_factory=dict)
     cases: tuple[Case, ...] = ()  # the cases in the order of their names
@@ -109,9 +110,14 @@ class Suite:
         config = dict(self.env_config)
         if self.cases:
             config |= min(self.cases, key=lambda case: case.name).load_scenario().scene_config
-        if ads == self.driver and self.stochastic:
-            settings["stochastic"] = True
+        own = self._own_settings() if ads == self.driver else {}
+        settings = {**own, **{name: value for name, value in settings.items() if value or name not in own}}
         return CheckedTarget(self.env, ads, env_config=config or None, traffic=self.traffic, **settings)
+
+    def _own_settings(self) -> dict[str, Any]:
+        """Return what was said about the driver that failed."""
+        said = {"stochastic": self.stochastic, "activation": self.activation}
+        return {name: value for name, value in said.items() if value}
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -143,7 +149,8 @@ class Suite:
         """What the suite says that may have code run."""
         target = self.target(self.driver)
         config = None if target.env_config is None else dict(target.env_config)
-        values = {name: value for name, value in asdict(self).items() if name not in ("cases", "digests")}
+        said = {name: value for name, value in asdict(self).items() if value is not None}
+        values = {name: value for name, value in said.items() if name not in ("cases", "digests")}
         values["driver"] = Path(self.driver).name  # whose path depends on the working directory
         code = code_of(self.env, self.driver, "", self.specs, config)
         return Claim(Path(SUITE), {**values, "env_config": config}, code, self.driver, hint=", or name it by --ads")
@@ -167,7 +174,7 @@ class Suite:
                 "specs": list(self.specs),
                 "traffic": self.traffic,
             }
-            values |= {"stochastic": True} if self.stochastic else {}
+            values |= self._own_settings()
             values |= {"digests": digests} if (digests := driver_digests(self.driver, self.claim.code)) else {}
             config = {"env_config": dict(self.env_config)} if self.env_config else {}
             write_durably(folder / SUITE, _yaml({"format": FORMAT, **values, **config}))
@@ -248,7 +255,7 @@ def check_same_driving(first: tuple[Path, CampaignConfig], others: Iterable[tupl
         InputError: if they were made in different environments, or judged by different specs.
     """
     for folder, config in others:
-        for name in ("env", "env_config", "traffic", "stochastic", "specs"):
+        for name in ("env", "env_config", "traffic", "stochastic", "activation", "specs"):
             own, other = getattr(first[1], name) or None, getattr(config, name) or None
             if own != other:
                 raise InputError(

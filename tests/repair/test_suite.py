@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+import torch
 import yaml
 
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
@@ -144,6 +145,32 @@ def test_a_driver_that_drew_its_actions_draws_them_in_checks_too(suite):
     found = Suite.read(suite)
     assert found.target(DRIVER).stochastic
     assert not found.target("rule").stochastic
+
+
+def test_weights_that_needed_a_flag_make_a_suite_and_are_compared_and_checked(tmp_path, capsys):
+    """Always LANE_LEFT, then SLOWER: the first crashes where the second does not."""
+    names = []
+    for number, action in enumerate((0, 4)):
+        bias = torch.nn.functional.one_hot(torch.tensor(action), 5).float()
+        weights = {
+            "a.weight": torch.zeros(8, 25),
+            "a.bias": torch.zeros(8),
+            "b.weight": torch.zeros(5, 8),
+            "b.bias": bias,
+        }
+        torch.save(weights, tmp_path / f"{number}.pth")
+        names.append(str(tmp_path / f"{number}.pth"))
+    chosen = ["--activation", "relu"]
+    place, alone = ["--env", "highway-fast-v0"], ["--workers", "0", "--unconfined", "--quiet"]
+    out = ["--out", str(tmp_path / "compared")]
+    assert main(["compare", *names, *place, *chosen, "--scenarios", "8", *alone, *out]) == OK
+    suite = tmp_path / "suite"
+    assert main(["suite", str(tmp_path / "compared" / "first"), "--out", str(suite), *alone]) == OK
+    assert Suite.read(suite).activation == "relu"
+    assert main(["check", str(suite), *alone]) == CHECK_FAILED
+    assert main(["check", str(suite), *alone, "--ads", names[1], *chosen]) == OK
+    assert main(["check", str(suite), *alone, "--ads", names[1]]) == BAD_INPUT
+    assert "add `activation: relu`" in capsys.readouterr().err
 
 
 def test_no_name_becomes_code(tmp_path):

@@ -28,7 +28,7 @@ DATA, WEIGHTS, OPTIMIZER, SYSTEM = "data", "policy.pth", "policy.optimizer.pth",
 SETTINGS = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", "_last_obs", "train_freq")
 
 _PYTHON: Final = re.compile(r"Python: (3\.\d+)")
-_VERSIONS: Final = re.compile(r"(Python|Stable-Baselines3|PyTorch|Gymnasium|OpenAI Gym): (\d[\w.+-]{0,30})")
+_VERSIONS: Final = re.compile(r"(Python|Stable-Baselines3|PyTorch|Gymnasium|OpenAI Gym|Gym): (\d[\w.+-]{0,30})")
 # Names that pickles in a saved model ordinarily contain.
 _ORDINARY: Final = re.compile(
     r"(stable_baselines3|sb3_contrib|gymnasium\.spaces|gym\.spaces|numpy\.(_?core|random|dtype|ndarray))\b"

@@ -24,6 +24,12 @@ OWN: Final = (".yaml", ".yml")  # endings of the file with a model's settings be
 STATISTICS: Final = ("vecnormalize.pkl", "vec_normalize.pkl")  # the names by rl-zoo3, on disk and on the Hub
 # Endings of files that hold weights alone; those of rl_agents end with .tar.
 WEIGHTS: Final = (".pth", ".pt", ".safetensors", ".tar", ".ckpt", ".bin", ".cleanrl_model")
+_KERAS: Final = "a model of Keras: write its weights to a file of safetensors by a function of six lines"
+_ELSEWHERE: Final = {  # what is not read, with the way out
+    ".h5": _KERAS,
+    ".keras": _KERAS,
+    ".onnx": "a program of ONNX, which is not run: write a driver of ten lines and name it as module:attribute",
+}
 _CHECKPOINT: Final = re.compile(r"(.+)_(\d+)_steps")  # the name of a model by Stable-Baselines3's CheckpointCallback
 # Wrappers that change neither what a policy observes nor what it does here, as rl-zoo3 names them.
 _HARMLESS: Final = (
@@ -83,6 +89,8 @@ def find_model(path: Path) -> Path:
         InputError: if there is no model, or more than one that could be meant.
     """
     if path.is_file():
+        if path.suffix in _ELSEWHERE:
+            raise InputError(f"{path} is {_ELSEWHERE[path.suffix]} (docs/policies.md)")
         return path
     if not path.is_dir():
         raise InputError(f"{path} is not a regular file" if path.exists() else f"There is no file or folder {path}")

@@ -76,6 +76,7 @@ def _said(frames: int, shape: tuple[int, ...], wrapper: str) -> str:
     )
 
 
+DIVERGED: Final = "has weights that are not numbers (NaN), as after a training that diverged: give an earlier one"
 _LOG = logging.getLogger(__name__)
 _MASKED: Final = "sb3_contrib.common.maskable."  # the module of policies that take masks of actions
 
@@ -225,12 +226,15 @@ def load_network(archive: Archive, trust: Collection[str] = ()) -> BasePolicy:
         return build_trusted(archive)
     _warn(archive.path, archive.suspicions)
     try:
-        return build_policy(archive)
+        network = build_policy(archive)
     except UntrustedError as error:
         raise InputError(
             f"{archive.path} cannot be loaded without running code from it: {error}. "
             f"If you trust its origin, add --trust {archive.digest}"
         ) from None
+    if any(weights.isnan().any() for weights in network.parameters()):
+        raise InputError(f"{archive.path} {DIVERGED}")
+    return network
 
 
 def _warn(model: Path, suspicions: Iterable[str]) -> None:

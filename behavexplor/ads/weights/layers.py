@@ -32,7 +32,14 @@ _OTHER_KINDS: Final[Mapping[str, re.Pattern[str]]] = MappingProxyType(
     {
         "recurrent": re.compile(r"weight_(ih|hh)(_l\d+)?$"),
         "attention": re.compile(r"in_proj_weight$|attention.*weight$|(key|query)_\w+\.weight$"),
+        "noisy": re.compile(r"weight_(mu|sigma)$"),
+        "reparametrized": re.compile(r"weight_(orig|g|v)$|parametrizations\.weight\."),
+        "normalizing": re.compile(r"running_(mean|var)$"),
     }
+)
+_OTHER_GRIDS: Final = "one- or three-dimensional convolutional"
+_OF_DIMENSIONS: Final[Mapping[int, str]] = MappingProxyType(
+    {1: "normalizing", 2: DENSE, 3: _OTHER_GRIDS, 4: CONVOLUTION, 5: _OTHER_GRIDS}
 )
 
 
@@ -124,7 +131,14 @@ def reason_against(file: TensorFile) -> str:
     if odd is not None:
         return f"{odd} layers"
     shapes = ", ".join(f"{one.name} {one.inputs}-{one.outputs}" for one in layers[:6])
-    return f"layers that do not follow one another ({shapes})" if layers else "no layers with weights"
+    return f"layers that do not follow one another ({shapes})" if layers else "no floats with a name such as fc1.weight"
+
+
+def unused(file: TensorFile, network: ActingNetwork) -> list[str]:
+    """Return the names of vectors that no layer uses, and that have a number for each input of a network."""
+    inputs = network.layers[0].inputs
+    rest = [name for name, array in file.arrays.items() if array.shape in ((inputs,), (1, inputs)) and inputs > 1]
+    return [name for name in rest if not re.search(r"(weight|bias)$|optim|log_?std", name.lower())]
 
 
 def _layer(name: str, arrays: Mapping[str, Array]) -> Layer | None:
@@ -134,7 +148,7 @@ def _layer(name: str, arrays: Mapping[str, Array]) -> Layer | None:
     stem = name.removesuffix("weight").rstrip(".")
     if other is None and (not name.endswith("weight") or array.dtype.kind != "f"):
         return None
-    kind = other or {1: "normalizing", 2: DENSE, 4: CONVOLUTION}.get(array.ndim, f"{array.ndim}-dimensional")
+    kind = other or _OF_DIMENSIONS.get(array.ndim, f"{array.ndim}-dimensional")
     bias = arrays.get(f"{stem}.bias" if stem else "bias")
     if kind in (DENSE, CONVOLUTION) and bias is not None and bias.shape != array.shape[:1]:
         kind = "unmatched"
@@ -157,14 +171,15 @@ def _networks(layers: Sequence[Layer], stored: Mapping[str, Array]) -> list[Acti
 
 def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, Array]) -> ActingNetwork | None:
     """Return the network of layers that form one; None if they do not."""
+    roles = [_role(layer.name[len(prefix) :].lstrip(".")) for layer in layers]
     of: dict[str | None, list[Layer]] = {}
-    for layer in layers:
-        of.setdefault(_role(layer.name[len(prefix) :].lstrip(".")), []).append(layer)
+    for layer, role in zip(layers, roles, strict=True):  # without a value, "a" is just a name
+        of.setdefault(None if role == ADVANTAGE and VALUE not in roles else role, []).append(layer)
     plain, action, value = (of.get(role, []) for role in (None, ACTION, VALUE))
     deviation, advantage = of.get(DEVIATION, []), of.get(ADVANTAGE, [])
     output: Output | None = None
     if advantage:
-        if not value or value[-1].outputs != 1:
+        if value[-1].outputs != 1:
             return None
         trunk, head, output = [*plain, *action], advantage, "values"
     else:

@@ -15,8 +15,17 @@ import torch
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, Description, describe
 from behavexplor.ads.sb3.layered import LayeredPolicy, Parts
 from behavexplor.ads.sb3.normalization import Statistics
-from behavexplor.ads.sb3.policy import SB3Policy
-from behavexplor.ads.weights.layers import CONVOLUTION, DENSE, ActingNetwork, Layer, chosen, networks_in, reason_against
+from behavexplor.ads.sb3.policy import DIVERGED, SB3Policy
+from behavexplor.ads.weights.layers import (
+    CONVOLUTION,
+    DENSE,
+    ActingNetwork,
+    Layer,
+    chosen,
+    networks_in,
+    reason_against,
+    unused,
+)
 from behavexplor.ads.weights.tensors import TensorFile, read_tensors
 from behavexplor.data.target import Activation
 from behavexplor.errors import InputError, sentence
@@ -110,6 +119,13 @@ def load_weights(path: Path, activation: Activation | None = None) -> WeightsPol
     network = network_of(file, description)
     if lacking := missing_settings(network, description):
         raise _lacking(path, network, lacking)
+    if any(np.isnan(one.weight).any() for one in (*network.layers, *network.value)):
+        raise InputError(f"{path} {DIVERGED}")
+    if rest := unused(file, network):
+        _LOG.warning(
+            f"{path} also has {', '.join(rest[:4])}, which no layer uses: if its script changes observations by them, "
+            "name a wrapper that does so (docs/policies.md)"
+        )
     return WeightsPolicy(path, network, description)
 
 

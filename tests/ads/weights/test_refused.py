@@ -16,12 +16,15 @@ import torch
 from torch import nn
 
 import behavexplor
+from behavexplor.ads.loading import load_ads
+from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.ads.weights.tensors import MAX_BYTES, read_tensors
 from behavexplor.ads.weights.weights_policy import load_weights
 from behavexplor.errors import LONGEST, InputError
 from behavexplor.execution.simulation import Simulation
-from tests.ads.sb3.models import Payload
+from tests.ads.sb3.models import Payload, make_model
 from tests.ads.weights.files import COMMANDS, FORMS, GRID, KINEMATICS, META, Tutorial, dense, write
+from tests.fakes import LOGICAL
 
 
 class Recurrent(nn.Module):
@@ -38,6 +41,11 @@ class Normalized(nn.Module):
 
 def two():
     return {"first": dense(25, 64, 5).state_dict(), "second": dense(25, 64, 5).state_dict()}
+
+
+def noisy(inputs, outputs):
+    """The weights of a noisy layer (Fortunato et al., 2018), as scripts of Rainbow name them."""
+    return {f"fc.weight_{name}": torch.zeros(outputs, inputs) for name in ("mu", "sigma", "epsilon")}
 
 
 UNUSABLE = {
@@ -59,6 +67,20 @@ UNUSABLE = {
         r"has layers that do not follow one another \(a 25-0, b 0-5\)",
     ),
     "unmatched": (lambda: {"a.weight": torch.zeros(5, 25), "a.bias": torch.zeros(4)}, "has unmatched layers, and only"),
+    "noisy": (lambda: noisy(25, 64) | {"head.weight": torch.zeros(5, 64)}, "has noisy layers, and only dense"),
+    "reparametrized": (
+        lambda: nn.Sequential(nn.utils.parametrizations.weight_norm(nn.Linear(25, 64)), nn.Linear(64, 5)).state_dict(),
+        "has reparametrized layers, and only dense",
+    ),
+    "running": (
+        lambda: nn.Sequential(nn.Linear(25, 64), nn.BatchNorm1d(64, affine=False), nn.Linear(64, 5)).state_dict(),
+        "has normalizing layers, and only dense",
+    ),
+    "signals": (lambda: nn.Conv1d(5, 8, 3).state_dict(), "has one- or three-dimensional convolutional layers, and"),
+    "whole numbers": (
+        lambda: {name: array.to(torch.int8) for name, array in dense(25, 64, 5).state_dict().items()},
+        "has no floats with a name such as fc1.weight, and only dense",
+    ),
     "two": (two, r"has the networks first \(25-64-5\), second \(25-64-5\): name the one that acts as `network: first`"),
     "silent": (
         lambda: Tutorial().state_dict(),
@@ -75,6 +97,47 @@ def test_an_unusable_file_is_refused_in_one_sentence(name, tmp_path):
     with pytest.raises(InputError, match=message) as caught:
         load_weights(tmp_path / "weights.pth")
     assert len(str(caught.value)) < LONGEST
+
+
+def test_a_policy_that_diverged_is_refused(tmp_path):
+    network = dense(25, 64, 5)
+    network[0].weight.data[3, 4] = float("nan")
+    torch.save(network.state_dict(), tmp_path / "weights.pth")
+    model = make_model("DQN", KINEMATICS)
+    next(model.policy.parameters()).data[0] = float("nan")
+    model.save(tmp_path / "model.zip")
+    for load, name in ((lambda path: load_weights(path, "relu"), "weights.pth"), (load_policy, "model.zip")):
+        with pytest.raises(InputError, match=rf"{name} has weights that are not numbers \(NaN\), as after a training"):
+            load(tmp_path / name)
+
+
+def test_what_no_layer_uses_is_said(tmp_path, caplog):
+    statistics = {"obs_mean": torch.zeros(25), "obs_std": torch.ones(1, 25), "rewards": torch.zeros(100)}
+    torch.save(dense(25, 64, 5).state_dict() | statistics, tmp_path / "weights.pth")
+    load_weights(tmp_path / "weights.pth", "relu")
+    assert "weights.pth also has obs_mean, obs_std, which no layer uses: if its script changes" in caplog.text
+    caplog.clear()
+    torch.save(dense(25, 25, 25).state_dict(), tmp_path / "weights.pth")  # biases and weights as long as observations
+    load_weights(tmp_path / "weights.pth", "relu")
+    assert "which no layer uses" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [("q.h5", "a model of Keras: write its weights"), ("q.keras", "a model of Keras"), ("q.onnx", "a program of ONNX")],
+)
+def test_files_of_other_libraries_are_named_with_the_way_out(name, what, tmp_path):
+    (tmp_path / name).write_bytes(b"\x89HDF")
+    with pytest.raises(InputError, match=rf"{name} is {what}.* \(docs/policies.md\)"):
+        load_ads(str(tmp_path / name), None)
+
+
+def test_a_pointer_of_git_lfs_is_named(tmp_path):
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
+    for name in ("weights.pth", "weights.safetensors", "model.zip", "policy.npz"):
+        (tmp_path / name).write_text(pointer)
+        with pytest.raises(InputError, match=rf"{name} only says where Git LFS has the file: fetch it by `git lfs"):
+            load_ads(str(tmp_path / name), LOGICAL.roadmap)
 
 
 def test_the_settings_choose_the_network(tmp_path):
