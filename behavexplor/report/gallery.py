@@ -164,7 +164,7 @@ def cards(run: ReportedRun, limit: int) -> tuple[Card, ...]:
 
 def _minimal_card(card: Card, minimal: Minimized) -> Card:
     """Return the card beside that of a class, with one of its failures in the simplest scenario."""
-    sizes = zip(("vehicles", "free values"), minimal.found, minimal.minimal, strict=True)
+    sizes = zip(("parts", "free values"), minimal.found, minimal.minimal, strict=True)
     facts = tuple((name, f"{before} \N{RIGHTWARDS ARROW} {after}") for name, before, after in sizes)
     return Card(
         class_id=card.class_id,
