@@ -36,7 +36,6 @@ from behavexplor.commands.overview import (
 )
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence, unknown_name
-from behavexplor.fuzz.methods import METHODS
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, UNDECIDED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 
@@ -122,7 +121,8 @@ def _begun(given: Sequence[str]) -> int:
         return OK if name else BAD_INPUT
     if name.startswith("--tyro-"):  # to print a completion script
         commands = {one: _command(one) for one in COMMANDS}
-        names = {"--env": (*FUNCTIONAL_SCENARIOS, *HIGHWAY_ENV), "--method": tuple(METHODS)}
+        methods = import_module("behavexplor.fuzz.methods").METHODS
+        names = {"--env": (*FUNCTIONAL_SCENARIOS, *HIGHWAY_ENV), "--method": tuple(methods)}
         with changed_output(lambda script: with_names(script, names)):
             tyro.extras.subcommand_cli_from_dict(commands, prog=program().rpartition(" ")[2], args=given)
     for old, new in _RENAMED.items():

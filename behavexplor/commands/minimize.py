@@ -17,7 +17,7 @@ from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Minimized
 from behavexplor.triage.minimization import LIMIT, RunMinimization
 
-_COLUMNS = ("id", "parts", "free values", "executions", "fault")
+_COLUMNS = ("id", "parts", "free values", "executions")
 
 
 def minimize(
@@ -73,18 +73,17 @@ def table(found: Sequence[Minimized]) -> str:
         for minimal in lost
     ]
     if kept:
-        made = grid(*_COLUMNS, numbers=_COLUMNS[:-1])
+        made = grid(*_COLUMNS, numbers=_COLUMNS)
         for one in kept:
             sizes = (f"{one.found.parts} -> {one.minimal.parts}", f"{one.found.values} -> {one.minimal.values}")
-            fault = (one.fault or "").replace("_", " ")
-            made.add_row(str(one.id), *sizes, str(one.executions), fault)
+            made.add_row(str(one.id), *sizes, str(one.executions))
         parts, values = (
             (median(one.found[i] for one in kept), median(one.minimal[i] for one in kept)) for i in range(2)
         )
         lines += [
             plain_text(made),
             "",
-            *(hanging(f"{one.id:6}  ", f"{words_of(one.class_id)} ({one.class_id})") for one in kept),
+            *(hanging(f"{one.id:6}  ", f"{words_of(one.class_id)} ({_named(one)})") for one in kept),
             "",
             hanging(
                 "",
@@ -98,3 +97,8 @@ def table(found: Sequence[Minimized]) -> str:
             [f"{unfinished} of them may have an even simpler scenario: the limit was reached"] if unfinished else []
         )
     return "\n".join(lines)
+
+
+def _named(one: Minimized) -> str:
+    """Return the class of a failure, with the fault if it is known."""
+    return f"{one.class_id}, fault: {one.fault.replace('_', ' ')}" if one.fault else one.class_id

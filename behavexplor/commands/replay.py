@@ -107,12 +107,12 @@ def _draw(execution: Execution, shape: RoadShape, place: _Place) -> None:
         near.pop(Destination().name, None)
     degrees = ", ".join(f"{name} {degree:.2f}{' (violated)' * (name in violated)}" for name, degree in near.items())
     animation, picture = _save(footage, frame, place, f"{execution.id:06d}")
-    say(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
+    say(hanging("", f"Execution {execution.id} {caption} after {trace.duration:.2f} s"))
     if footage.decisions:
         runs = [(name, len(list(alike))) for name, alike in groupby(name for _, name in footage.decisions)]
         told = ", ".join(name if count == 1 else f"{count} x {name}" for name, count in runs)
         say(hanging("", f"The driver's decisions: {told}"))
-    say("Violation degrees, which guide the search (lower is nearer to a violation):")
+    say(hanging("", "Violation degrees, which guide the search (lower is nearer to a violation):"))
     say(hanging("  ", degrees))
     say(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
@@ -196,6 +196,6 @@ def _compare(execution: Execution, config: CampaignConfig, run: Path) -> int:
             with suppress(OSError):  # someone else's folder
                 keep(run, execution.id, found)
     if found is not None:
-        say(found.said_of(execution.id), file=sys.stdout if found.state == "confirmed" else sys.stderr)
-    say(again.words, file=sys.stdout if again.reproduced else sys.stderr)
+        say(hanging("", found.said_of(execution.id)), file=sys.stdout if found.state == "confirmed" else sys.stderr)
+    say(hanging("", again.words), file=sys.stdout if again.reproduced else sys.stderr)
     return OK if again.reproduced else CHECK_FAILED

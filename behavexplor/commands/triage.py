@@ -45,7 +45,7 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:
         command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"
-        say(f"\nTo see how the first preventable collision could have been avoided:\n{command} --avoided")
+        say(f"\nHow the first preventable collision could have been avoided:\n{command} --avoided")
     return OK
 
 
@@ -107,7 +107,8 @@ def _class_lines(found: Triage) -> list[str]:
         shown = next((finding.id for finding in findings if finding.same_trace), first)
         look = "" if shown == first else f", look at {shown}"
         said = {"fault": counted(f.fault for f in findings), "cause": counted(f.cause for f in findings)}
-        lines += [hanging(f"{len(findings):7}  ", words_of(class_id)), f"{_BELOW}{class_id}, first {first}{look}"]
+        lines += [hanging(f"{len(findings):7}  ", words_of(class_id))]
+        lines += [hanging(_BELOW, f"{class_id}, first {first}{look}")]
         lines += [hanging(f"{_BELOW}{name}: ", text) for name, text in said.items() if text]
     return lines
 

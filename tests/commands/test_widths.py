@@ -1,6 +1,9 @@
 """What is printed fits the terminal: nothing is cut, and nothing runs into another line or column."""
 
+import os
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -12,15 +15,9 @@ RUNNING = ["--workers", "0", "--quiet"]
 
 
 def too_wide(text, columns):
-    """The lines that do not fit. Commands, paths and lines of Python are on lines of their own, to be copied."""
-    to_copy = re.compile(
-        r"^ *(python -m behavexplor |All results are in |Report: |Animation: |Decisive frame, |env = |run = )"
-    )
-    shown = [
-        line
-        for line in text.splitlines()
-        if not to_copy.match(line) and not (line.startswith("    ") and " = " in line)
-    ]
+    """The lines that do not fit. What is copied stands on lines of its own: commands, paths, digests, Python."""
+    copied = re.compile(r" *(behavexplor |All results are in |[A-Z][^:]*: (RUN|OUT)/|sha256:|env = |observation, )")
+    shown = [line for line in text.splitlines() if not copied.match(line)]
     return [line for line in shown if len(line) > columns or "\N{HORIZONTAL ELLIPSIS}" in line]
 
 
@@ -71,6 +68,7 @@ def run(tmp_path_factory):
 )
 def test_results_fit(command, columns, run, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("BEHAVEXPLOR_PROGRAM", "behavexplor")
     first = next(iter(sorted(int(file.stem) for file in (run / "failures").glob("*.json"))))
     words = {"RUN": str(run), "FIRST": str(first)}
     arguments = [words.get(word, word.replace("OUT", str(tmp_path))) for word in command.split()]
@@ -78,4 +76,29 @@ def test_results_fit(command, columns, run, tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr()
     assert printed.out
     assert not too_wide(printed.out.replace(str(run), "RUN").replace(str(tmp_path), "OUT"), columns)
-    assert not too_wide(printed.err.replace(str(run), "RUN").replace(str(tmp_path), "OUT"), columns)
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("fuzz --env highway-f", "highway-fast-v0"),
+        ("evaluate --env lane-c", "lane-change"),
+        ("fuzz --method nic", "niching"),
+        ("replay ru", "runs"),
+    ],
+)
+def test_the_shell_completes_names_and_folders(typed, offered, tmp_path):
+    (tmp_path / "runs").mkdir()
+    script = subprocess.run(
+        [sys.executable, "-m", "behavexplor", "--tyro-print-completion", "bash"],
+        capture_output=True, text=True, check=True, env={**os.environ, "BEHAVEXPLOR_PROGRAM": "behavexplor"},
+    ).stdout  # fmt: skip
+    (tmp_path / "script").write_text(script)
+    words = ["behavexplor", *typed.split()]
+    told = subprocess.run(
+        ["bash", "-c", 'source ./script; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _tyro_behavexplor; '
+         'echo "${COMPREPLY[@]:-$(compgen -o default "${@: -1}")}"', "bash", *words],
+        capture_output=True, text=True, check=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert told.stdout.split() == [offered]
+    assert "complete -o default -F _tyro_behavexplor behavexplor" in script  # files, if nothing is offered
