@@ -90,7 +90,7 @@ class Replay:
     Attributes:
         number: number of the execution.
         trace: its trace.
-        caption: what happened, such as "violates collision and destination, ended by a collision".
+        caption: what happened, such as "failed (collision and destination), ended by a collision".
     """
 
     def __init__(self, execution: Execution, shape: RoadShape) -> None:

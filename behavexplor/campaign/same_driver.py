@@ -70,7 +70,11 @@ def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on:
         InputError: see `behavexplor.campaign.provenance.accepted`; also if the file of its policy has gone, or the
             campaign would go on with another driver.
     """
-    config = accepted(stored_config(run), consent, runs)
+    stored = stored_config(run)
+    try:
+        config = accepted(stored, consent, runs)
+    except InputError as refusal:
+        raise _explained(refusal, run, stored.says, goes_on=goes_on) from None
     if ADS not in runs or (begun := _known(run)) is None:
         return config
     config = replace(config, ads=_found(config, begun))
@@ -89,6 +93,17 @@ def _known(run: Path) -> Identity | None:
             return begun_with(store)
     except InputError:
         return None
+
+
+def _explained(refusal: InputError, run: Path, config: CampaignConfig, *, goes_on: bool) -> InputError:
+    """Return the refusal to run a folder's code, with the modules that have changed since the run began."""
+    code = code_of(config.env, config.ads, config.method, config.specs, config.env_config)
+    begun, now = _known(run), {f"{MODULE}{name}": one for name, one in digests_of(one.module for one in code).items()}
+    known = {} if begun is None else {name: one for name, one in begun.digests.items() if name in now}
+    changed = changes(known, {name: now[name] for name in known})
+    if not changed:
+        return refusal
+    return _another(run, changed) if goes_on else InputError(f"{refusal}. Changed since the run began: {changed}")
 
 
 def _another(run: Path, changed: str) -> InputError:

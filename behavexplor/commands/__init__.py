@@ -15,7 +15,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
 from importlib.metadata import version
 from io import TextIOWrapper
@@ -24,7 +24,16 @@ from typing import Any, Final, TextIO
 
 import tyro
 
-from behavexplor.commands.overview import COMMANDS, overview, with_joined_lines, wrapped_head
+from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV
+from behavexplor.commands.overview import (
+    COMMANDS,
+    changed_output,
+    overview,
+    with_joined_lines,
+    with_names,
+    with_wrapped_usage,
+    wrapped_head,
+)
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence, unknown_name
 
@@ -112,15 +121,19 @@ def _begun(given: Sequence[str]) -> int:
         return OK if name else BAD_INPUT
     if name.startswith("--tyro-"):  # to print a completion script
         commands = {one: _command(one) for one in COMMANDS}
-        code: int = tyro.extras.subcommand_cli_from_dict(commands, prog=program(), args=given)
-        return code
+        methods = import_module("behavexplor.fuzz.methods").METHODS
+        names = {"--env": (*FUNCTIONAL_SCENARIOS, *HIGHWAY_ENV), "--method": tuple(methods)}
+        with changed_output(lambda script: with_names(script, names)):
+            tyro.extras.subcommand_cli_from_dict(commands, prog=program().rpartition(" ")[2], args=given)
     for old, new in _RENAMED.items():
         if any(one.partition("=")[0] == old for one in given):
             raise InputError(f"{old} is called {new} now")
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
     command: Callable[..., int] = _command(name)
-    return tyro.cli(command, prog=f"{program()} {name}", args=given[1:], description=wrapped_head(command))
+    with changed_output(with_wrapped_usage) if {"-h", "--help"} & set(given) else nullcontext():
+        code: int = tyro.cli(command, prog=f"{program()} {name}", args=given[1:], description=wrapped_head(command))
+    return code
 
 
 def _drop_output() -> None:

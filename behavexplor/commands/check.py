@@ -9,9 +9,8 @@ import tyro
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
 from behavexplor.commands.flags import GivenActivation, HowToRun, Switch, patience
-from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
-from behavexplor.commands.wording import say
+from behavexplor.commands.wording import hanging, say
 from behavexplor.errors import sentence
 from behavexplor.repair.cases import Suite
 from behavexplor.repair.checking import CheckedCase, opened_driver
@@ -50,7 +49,7 @@ def check(
         return EXECUTION_FAILED
     failed = sum(not outcome.passed for outcome in outcomes)
     if not running.quiet:
-        say(_table(outcomes), end="\n\n", file=output)
+        say(_listed(outcomes), end="\n\n", file=output)
     say(result(failed, len(outcomes)), file=output)
     properties = {"env": suite.env, "ads": ads or suite.driver}
     write_json(json_file, {**properties, "failed": failed, "scenarios": list(map(_values, outcomes))})
@@ -67,11 +66,11 @@ def result(failed: int, count: int) -> str:
     return f"{failed} of {count} scenarios {fail}" if failed else f"All {count} scenarios pass"
 
 
-def _table(outcomes: Sequence[CheckedCase]) -> str:
-    table = grid("scenario", "", "what happened")
-    for outcome in outcomes:
-        table.add_row(outcome.case.name, "pass" if outcome.passed else "FAIL", outcome.words)
-    return plain_text(table)
+def _listed(outcomes: Sequence[CheckedCase]) -> str:
+    """Return each scenario by its name, and what happened in it."""
+    return "\n".join(
+        f"{'pass' if one.passed else 'FAIL'}  {one.case.name}\n{hanging(' ' * 6, one.words)}" for one in outcomes
+    )
 
 
 def _values(outcome: CheckedCase) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from behavexplor.errors import InputError, sentence
 from behavexplor.fuzz.methods import GIVEN
 from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
 from behavexplor.repair import pair_campaigns
-from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, MarginDecision, Pairs, rows
+from behavexplor.repair.pairs import AT_FAULT, CHANGE, COLUMNS, LEGEND, MarginDecision, Pairs, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 
@@ -99,7 +99,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         return EXECUTION_FAILED
     say(f"Page: {folder / pair_campaigns.PAGE}", file=output)
     run = shlex.quote(str(folder / pair_campaigns.FIRST))
-    say(f"Replay a scenario that only one of them fails: {program()} replay {run} ID", file=output)
+    say(f"Replay a scenario that only one of them fails:\n{program()} replay {run} ID", file=output)
     if verdict is not None:
         say(hanging("", verdict.words), file=output)
         failure = "" if verdict.found == NON_INFERIOR else verdict.words
@@ -172,13 +172,22 @@ def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, worker
 
 def table(pairs: Sequence[Pairs], env: str, first: str, second: str) -> str:
     """Return the paired statistics as a table."""
-    made = grid(*COLUMNS, numbers=COLUMNS[1:])
+    change = COLUMNS.index(CHANGE)
+    counts = [name for name in COLUMNS if name != CHANGE]
+    made, changes = grid(*counts, numbers=counts[1:]), grid("", CHANGE, numbers=[CHANGE])
     for cells in rows(pairs):
-        made.add_row(*cells)
+        made.add_row(*(cell for i, cell in enumerate(cells) if i != change))
+        changes.add_row(cells[0], cells[change])
     fault = next(row for row in pairs if row.outcome == AT_FAULT)
-    lines = [f"{fault.n} scenarios of {env}, the same for both; A is {first}, B is {second}:", plain_text(made), LEGEND]
+    lines = [
+        hanging("", f"{fault.n} scenarios of {env}, the same for both; A is {first}, B is {second}:"),
+        plain_text(made),
+        hanging("", LEGEND),
+        "",
+        plain_text(changes),
+    ]
     for name, numbers in (("Fixed", fault.only_first), ("Broken", fault.only_second)):
-        lines += [f"{name} failures at fault: executions {_listed(numbers)}"] if numbers else []
+        lines += [hanging("", f"{name} failures at fault: executions {_listed(numbers)}")] if numbers else []
     return "\n".join(lines)
 
 

@@ -125,10 +125,8 @@ def _side_by_side(columns: Sequence[Sequence[tuple[str, str]]]) -> Table:
 
 def summary(progress: Progress, store: Store, program: str, method: str, budget: Budget) -> str:
     """Return the summary of a campaign: its findings, its run folder, and commands to continue with."""
-    lines = [
-        f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
-        f"{share(progress.novel, progress)} of them with new behavior"
-    ]
+    head = f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
+    lines = [hanging("", f"{head}{share(progress.novel, progress)} of them with new behavior")]
     own = explained(method, own_rate(method, progress.executions, progress.failed, budget, UniformRate.stored(store)))
     if not progress.failed:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
@@ -152,7 +150,7 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
     first = min(one.first for one in progress.classes.values())
     lines += ["Replay the first failure:", f"{program} replay {folder} {first}"]  # on lines of their own,
     lines += ["Write a report on the run:", f"{program} report {folder}"]  # so that they can be copied
-    lines += ["Drive it in a loop of your own, in Python (replay shows the loop):"]
+    lines += ["Drive it in a loop of your own (replay shows the loop):"]
     lines += [f"env = behavexplor.open_run({str(store.folder)!r}).env({first})"]
     return "\n".join(lines)
 
@@ -174,7 +172,8 @@ def _errors(progress: Progress, store: Store) -> list[str]:
         number, first = sum(one.count for one in found), min(one.first for one in found)
         count = "every execution" if number == progress.executions else f"{number} executions"
         error = store.execution(first).record.error or {}
-        lines.append(f"The driver itself failed in {count}, first in {first}: {sentence(error.get('message', ''))}")
+        text = f"The driver itself failed in {count}, first in {first}: {sentence(error.get('message', ''))}"
+        lines.append(hanging("", text))
     return lines + [hanging("", line) for line in not_confirmed(known(store.folder))]
 
 
@@ -190,7 +189,7 @@ def _listed_classes(progress: Progress) -> list[str]:
     shown, count = progress.largest_first[:_LISTED_CLASSES], len(progress.classes)
     lines = ["The classes:" if len(shown) == count else f"The {len(shown)} most frequent classes:"]
     for one in shown:
-        lines += [hanging(f"{one.count:7}  ", one.words), f"         {one.id}, first {one.first}"]
+        lines += [hanging(f"{one.count:7}  ", one.words), hanging(" " * 9, f"{one.id}, first {one.first}")]
     return lines
 
 

@@ -288,7 +288,7 @@ def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
         kind, _, fault = outcome.partition(": ")
         rates.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, f"{first.rate(outcome):.1%}{interval}")
     intervals = "the one interval that holds is below" if first.decision else "with 95 % intervals"
-    lines = [f"{first.n} scenarios of {env}, {intervals}:", plain_text(rates)]
+    lines = [hanging("", f"{first.n} scenarios of {env}, {intervals}:"), plain_text(rates)]
     if others:
         shown = [outcome for outcome in _rows(dict(others)) if ": " not in outcome]
         beside = grid("", *shown, numbers=shown)

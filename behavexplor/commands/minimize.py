@@ -11,12 +11,13 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.wording import counted, say
+from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.errors import InputError, sentence
+from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Minimized
 from behavexplor.triage.minimization import LIMIT, RunMinimization
 
-_NUMBERS = ("vehicles", "free values", "executions")
+_COLUMNS = ("id", "parts", "free values", "executions")
 
 
 def minimize(
@@ -27,7 +28,7 @@ def minimize(
     running: HowToRun,
     afresh: Switch = False,
 ) -> int:
-    """Find the simplest scenario in which a failure still happens: the fewest vehicles, and the plainest values.
+    """Find the simplest scenario in which a failure still happens: the fewest parts, and the plainest values.
 
     The class of the failure and the fault for it stay the same. After `triage`, the cause stays the same, too. The
     results are kept in the run folder, in minimized/, and shown by `report`.
@@ -45,7 +46,8 @@ def minimize(
     work = RunMinimization(run, running.accepted(run), running.count, numbers, every=every, afresh=afresh)
     if work.waiting and not running.quiet:
         many = counted(len(work.waiting), "failure")
-        say(f"{many} to minimize, each in at most {LIMIT} executions of simpler scenarios", file=sys.stderr)
+        text = f"{many} to minimize, each in at most {LIMIT} executions of simpler scenarios"
+        say(hanging("", text), file=sys.stderr)
     try:
         with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
             found = work.minimize(meter.show)
@@ -63,27 +65,40 @@ def table(found: Sequence[Minimized]) -> str:
     lost = [minimal for minimal in found if not minimal.reproduced]
     kept = [minimal for minimal in found if minimal.reproduced]
     lines = [
-        f"Execution {minimal.id} did not fail in the same way when it was repeated, or its driver ended or blocked its "
-        "process, so it was not minimized"
+        hanging(
+            "",
+            f"Execution {minimal.id} did not fail in the same way when it was repeated, or its driver ended or blocked "
+            "its process, so it was not minimized",
+        )
         for minimal in lost
     ]
     if kept:
-        made = grid("class", "fault", "id", *_NUMBERS, numbers=("id", *_NUMBERS))
+        made = grid(*_COLUMNS, numbers=_COLUMNS)
         for one in kept:
             sizes = (f"{one.found.parts} -> {one.minimal.parts}", f"{one.found.values} -> {one.minimal.values}")
-            fault = (one.fault or "").replace("_", " ")
-            made.add_row(one.class_id, fault, str(one.id), *sizes, str(one.executions))
+            made.add_row(str(one.id), *sizes, str(one.executions))
         parts, values = (
             (median(one.found[i] for one in kept), median(one.minimal[i] for one in kept)) for i in range(2)
         )
         lines += [
             plain_text(made),
             "",
-            f"{counted(len(kept), 'failure')}; in the median, vehicles {parts[0]:g} -> {parts[1]:g}, "
-            f"free values {values[0]:g} -> {values[1]:g}",
+            *(hanging(f"{one.id:6}  ", f"{words_of(one.class_id)} ({_named(one)})") for one in kept),
+            "",
+            hanging(
+                "",
+                f"{counted(len(kept), 'failure')}; in the median, parts {parts[0]:g} -> {parts[1]:g}, free values "
+                f"{values[0]:g} -> {values[1]:g} (a part: a scripted vehicle, or draws of highway-env that belong "
+                "together)",
+            ),
         ]
         unfinished = sum(not one.is_minimal for one in kept)
         lines += (
             [f"{unfinished} of them may have an even simpler scenario: the limit was reached"] if unfinished else []
         )
     return "\n".join(lines)
+
+
+def _named(one: Minimized) -> str:
+    """Return the class of a failure, with the fault if it is known."""
+    return f"{one.class_id}, fault: {one.fault.replace('_', ' ')}" if one.fault else one.class_id

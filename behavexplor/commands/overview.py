@@ -2,13 +2,16 @@
 
 import re
 import shutil
+import sys
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from inspect import cleandoc
+from io import BytesIO, TextIOWrapper
 from types import MappingProxyType
 from typing import Any, Final
 
-from behavexplor.commands.wording import WIDEST
+from behavexplor.commands.wording import WIDEST, hanging, say
 
 GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
@@ -49,8 +52,40 @@ def overview(program: str) -> str:
     """Return all commands, in groups, with a line for each."""
     lines = [f"usage: {program} COMMAND ...", "", "Find out how a driving policy fails."]
     for title, commands in GROUPS.items():
-        lines += ["", title, *(f"  {name:9} {text}" for name, text in commands.items())]
+        lines += ["", title, *(hanging(f"  {name:9} ", text) for name, text in commands.items())]
     return "\n".join([*lines, "", f"The flags of a command: {program} COMMAND --help"])
+
+
+@contextmanager
+def changed_output(change: Callable[[str], str]) -> Iterator[None]:
+    """Print what is printed meanwhile in the end, and changed."""
+    held = TextIOWrapper(BytesIO(), getattr(sys.stdout, "encoding", None) or "utf-8", newline="\n")
+    try:
+        with redirect_stdout(held):
+            yield
+    finally:
+        held.seek(0)
+        say(change(held.read()), end="")
+
+
+def with_wrapped_usage(text: str) -> str:
+    """Return a help text of tyro with its first line broken where the terminal ends, which tyro does not do."""
+    first, _, rest = text.partition("\n")
+    usage, _, flags = first.partition(" [-h]")
+    return f"{hanging(f'{usage} ', f'[-h]{flags}')}\n{rest}" if flags else text
+
+
+def with_names(script: str, names: Mapping[str, Sequence[str]]) -> str:
+    """Return a completion script of tyro that also completes the values of flags, and files where nothing else fits.
+
+    Args:
+        script: the script.
+        names: the values by flag.
+    """
+    for flag, known in names.items():
+        script = re.sub(rf"(\['{flag}'\], .*?'type': )'path'", rf"\1'choice', 'choices': {list(known)}", script)
+    script = script.replace("    return completions\n\n", "    return completions or ['__TYRO_COMPLETE_FILES__']\n\n")
+    return script.replace("complete -F ", "complete -o default -F ")  # bash falls back on files, whatever came before
 
 
 def with_joined_lines(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -5,6 +5,7 @@ import sys
 import textwrap
 from contextlib import suppress
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated
 
@@ -19,16 +20,16 @@ from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
 from behavexplor.commands.flags import RunFolder, Switch, Trust
-from behavexplor.commands.wording import say
+from behavexplor.commands.wording import hanging, say
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.durable import folder_in, new_file
 from behavexplor.data.road_shape import RoadShape
-from behavexplor.data.trace import Trace
+from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
-from behavexplor.judge.specs import SPECS, judge
+from behavexplor.judge.specs import NOTHING_NEAR, SPECS, Destination, judge
 from behavexplor.report.drawing import Footage, decisive_frame, draw, footage_of, save_animation
 from behavexplor.report.road_shapes import known_road
 from behavexplor.triage.closed_loop import drive_again
@@ -75,7 +76,7 @@ def replay(
         say(sentence(f"Execution {number}: {ADSError(failure['kind'], failure['message'])}"))
     else:
         _show(execution, _road(config, run), place)
-        say("The same episode in a loop of your own; any policy can take the place of env.driver:")
+        say(hanging("", "The same episode in a loop of your own; any policy can take the place of env.driver:"))
         say(textwrap.indent(snippet(run, number), "    "))
     return _compare(execution, config, run)
 
@@ -101,12 +102,18 @@ def _draw(execution: Execution, shape: RoadShape, place: _Place) -> None:
     footage = footage_of(execution, shape)
     trace, caption, violated = footage.trace, footage.caption, execution.record.violated
     frame = decisive_frame(trace, violated)
-    degrees = ", ".join(
-        f"{name} {degree:.2f}{' (violated)' * (name in violated)}" for name, degree in execution.record.degrees.items()
-    )
+    near = {name: degree for name, degree in execution.record.degrees.items() if degree < NOTHING_NEAR}
+    if trace.signals and ARRIVED not in trace.signals:  # there is no destination
+        near.pop(Destination().name, None)
+    degrees = ", ".join(f"{name} {degree:.2f}{' (violated)' * (name in violated)}" for name, degree in near.items())
     animation, picture = _save(footage, frame, place, f"{execution.id:06d}")
-    say(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
-    say(f"Violation degrees, which guide the search (lower is nearer to a violation):\n  {degrees}")
+    say(hanging("", f"Execution {execution.id} {caption} after {trace.duration:.2f} s"))
+    if footage.decisions:
+        runs = [(name, len(list(alike))) for name, alike in groupby(name for _, name in footage.decisions)]
+        told = ", ".join(name if count == 1 else f"{count} x {name}" for name, count in runs)
+        say(hanging("", f"The driver's decisions: {told}"))
+    say(hanging("", "Violation degrees, which guide the search (lower is nearer to a violation):"))
+    say(hanging("  ", degrees))
     say(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
 
@@ -189,6 +196,6 @@ def _compare(execution: Execution, config: CampaignConfig, run: Path) -> int:
             with suppress(OSError):  # someone else's folder
                 keep(run, execution.id, found)
     if found is not None:
-        say(found.said_of(execution.id), file=sys.stdout if found.state == "confirmed" else sys.stderr)
-    say(again.words, file=sys.stdout if again.reproduced else sys.stderr)
+        say(hanging("", found.said_of(execution.id)), file=sys.stdout if found.state == "confirmed" else sys.stderr)
+    say(hanging("", again.words), file=sys.stdout if again.reproduced else sys.stderr)
     return OK if again.reproduced else CHECK_FAILED

@@ -29,15 +29,14 @@ def status(run: RunFolder, *, json_file: JsonFile = None) -> int:
 
 def _head(found: RunSummary, *, is_running: bool, ago: float) -> str:
     state = "running" if is_running else "complete" if found.complete else "stopped"
-    return "\n".join(
-        [
-            f"{found.ads} in {found.env}, {found.method}, seed {found.seed}: {state}, last written {clock(ago)} ago",
-            f"{found.executions} executions of a budget of {found.budget}, in {clock(found.elapsed)} "
-            f"({found.rate:.1f} per second)",
-            f"{found.failed} failed ({found.failure_rate:.1%}) in {class_count(len(found.classes))}, "
-            f"{found.at_fault} at fault",
-        ]
+    lines = (
+        f"{found.ads} in {found.env}, {found.method}, seed {found.seed}: {state}, last written {clock(ago)} ago",
+        f"{found.executions} executions of a budget of {found.budget}, in {clock(found.elapsed)} "
+        f"({found.rate:.1f} per second)",
+        f"{found.failed} failed ({found.failure_rate:.1%}) in {class_count(len(found.classes))}, "
+        f"{found.at_fault} at fault",
     )
+    return "\n".join(hanging("", line) for line in lines)
 
 
 def _class_lines(found: RunSummary) -> list[str]:

@@ -20,7 +20,7 @@ from behavexplor.triage.findings import Finding, Sighting, Triage, counted
 from behavexplor.triage.run_triage import RunTriage, agreement
 
 _NUMBER = re.compile(r" \d+$")  # of a driver that acts by chance
-_NUMBERS = ("count", "first", "look at")  # columns of numbers
+_BELOW = " " * 9  # the number of a class
 
 
 def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
@@ -45,36 +45,43 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:
         command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"
-        say(f"\nTo see how the first preventable collision could have been avoided:\n{command} --avoided")
+        say(f"\nHow the first preventable collision could have been avoided:\n{command} --avoided")
     return OK
 
 
 def report(found: Triage) -> str:
     """Return the tables for the terminal."""
     flaky = sum(not finding.same_verdict for finding in found.findings)
+    again = f"{flaky} did not reproduce" if flaky else "all replayed failures reproduced"
+    classes = class_count(len(found.classes))
     lines = [
-        f"{len(found.findings)} failures in {found.executions} executions, in {class_count(len(found.classes))}; "
-        + (f"{flaky} did not reproduce" if flaky else "all replayed failures reproduced"),
+        hanging("", f"{len(found.findings)} failures in {found.executions} executions, in {classes}; {again}"),
         "",
-        plain_text(_class_table(found)),
-        "",
-        *(hanging("  ", f"{class_id}: {words_of(class_id)}") for class_id in found.classes),
+        *_class_lines(found),
         *_witnesses(found.findings),
         *_last_chances(found.findings),
         "",
-        "A class groups failures that look alike. It begins with the violated requirement:",
-        "R1 collision, R2 illegal line touched, R3 destination missed.",
+        hanging(
+            "",
+            "A class groups failures that look alike. It begins with the violated requirement: R1 collision, R2 "
+            "illegal line touched, R3 destination missed.",
+        ),
     ]
     if found.weaknesses:
         lines += [
-            "Causes such as R2-2 are weaknesses of the rule planner, not requirements:",
-            "R2-2 is the second weakness that leads to violations of R2.",
+            hanging(
+                "",
+                "Causes such as R2-2 are weaknesses of the rule planner, not requirements: R2-2 is the second weakness "
+                "that leads to violations of R2.",
+            ),
             "",
             plain_text(_weakness_table(found)),
             "",
-            "reached: executions in which the weakness could matter",
-            "triggered: executions in which it changed the planner's output",
-            "detected: failures that it caused; first: number of the first such execution",
+            hanging(
+                "",
+                "reached: executions in which the weakness could matter; triggered: in which it changed the planner's "
+                "output; detected: failures that it caused; first: number of the first such execution.",
+            ),
             *_agreements(found.findings),
         ]
     return "\n".join(lines)
@@ -92,19 +99,23 @@ def _last_chances(findings: Sequence[Finding]) -> list[str]:
     return ["", hanging("", f"At the last chance to avoid a crash, the driver chose: {words}")] if words else []
 
 
-def _class_table(found: Triage) -> Table:
-    columns = ("class", "count", "first", "look at", "fault", *(["cause"] if found.weaknesses else []))
-    table = grid(*columns, numbers=_NUMBERS)
+def _class_lines(found: Triage) -> list[str]:
+    """Return each class as a sentence with its number of failures, and below it its id, examples, faults and causes."""
+    lines = []
     for class_id, findings in found.classes.items():
-        shown = next((finding.id for finding in findings if finding.same_trace), findings[0].id)
-        cells = [class_id, str(len(findings)), str(findings[0].id), str(shown), counted(f.fault for f in findings)]
-        table.add_row(*cells, *([counted(f.cause for f in findings)] if found.weaknesses else []))
-    return table
+        first = findings[0].id
+        shown = next((finding.id for finding in findings if finding.same_trace), first)
+        look = "" if shown == first else f", look at {shown}"
+        said = {"fault": counted(f.fault for f in findings), "cause": counted(f.cause for f in findings)}
+        lines += [hanging(f"{len(findings):7}  ", words_of(class_id))]
+        lines += [hanging(_BELOW, f"{class_id}, first {first}{look}")]
+        lines += [hanging(f"{_BELOW}{name}: ", text) for name, text in said.items() if text]
+    return lines
 
 
 def _weakness_table(found: Triage) -> Table:
     columns = ("weakness", "reached", "first", "triggered", "first", "detected", "first")
-    table = grid(*columns, numbers=_NUMBERS)
+    table = grid(*columns, numbers=columns[1:])
     for name, record in found.weaknesses.items():
         sightings = (record.reached, record.triggered, record.detected)
         table.add_row(name, *(cell for sighting in sightings for cell in _cells(sighting)))
@@ -125,10 +136,12 @@ def _agreements(findings: Sequence[Finding]) -> list[str]:
     classes = agreement(causes, [finding.class_id for finding in caused])
     return [
         "",
-        "The signature, a guess of the cause without replays,",
-        f"is right for {signatures.equal:.0%} of {signatures.n} failures with a known cause "
-        f"(precision {signatures.precision:.2f}, recall {signatures.recall:.2f}).",
-        "The adjusted Rand index says how well a grouping matches the grouping by cause",
-        f"(1: equal, 0: chance): {signatures.adjusted_rand:.2f} for signatures "
-        f"and {classes.adjusted_rand:.2f} for classes.",
+        hanging(
+            "",
+            "The signature, a guess of the cause without replays, is right for "
+            f"{signatures.equal:.0%} of {signatures.n} failures with a known cause (precision "
+            f"{signatures.precision:.2f}, recall {signatures.recall:.2f}). The adjusted Rand index says how well a "
+            "grouping matches the grouping by cause (1: equal, 0: chance): "
+            f"{signatures.adjusted_rand:.2f} for signatures and {classes.adjusted_rand:.2f} for classes.",
+        ),
     ]

@@ -1,7 +1,7 @@
 """Numbers, times and lists in words, for all commands. Nothing that is slow to import is needed for them."""
 
+import re
 import shutil
-import textwrap
 from typing import TextIO
 
 from behavexplor.errors import printable
@@ -27,16 +27,21 @@ def clock(seconds: float) -> str:
 
 
 def hanging(first: str, text: str) -> str:
-    """Return a text that begins beside a first column, and stays right of it on as many lines as it needs."""
-    width = min(shutil.get_terminal_size().columns, WIDEST)
-    return textwrap.fill(
-        text,
-        width,
-        initial_indent=first,
-        subsequent_indent=" " * len(first),
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    """Return a text that begins beside a first column, and stays right of it on as many lines as it needs.
+
+    A word that is longer than a line, such as the id of a class, is broken behind slashes.
+    """
+    room = min(shutil.get_terminal_size().columns, WIDEST) - len(first)
+    lines = [""]
+    for word in text.split():
+        space = " " if lines[-1] else ""
+        for piece in re.split(r"(?<=/)", word) if len(word) > room else [word]:
+            if len(lines[-1] + space + piece) <= room or not lines[-1]:
+                lines[-1] += space + piece
+            else:
+                lines.append(piece)
+            space = ""
+    return first + f"\n{' ' * len(first)}".join(lines)
 
 
 def say(text: str, *, file: TextIO | None = None, end: str = "\n", flush: bool = False) -> None:

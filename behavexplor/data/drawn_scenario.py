@@ -11,6 +11,7 @@ from typing import Any, Final, Literal, Self
 
 import numpy as np
 
+from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.untrusted import object_fields
 from behavexplor.errors import InputError, brief
 
@@ -120,6 +121,17 @@ class DrawnScenario:
             for i, value in enumerate(values):
                 if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                     raise InputError(f"draws[{name!r}][{i}]: expected a finite number, got {brief(value)}")
+
+    @property
+    def meta_actions(self) -> tuple[str, ...]:
+        """The names of the driver's actions by index, if they are highway-env's meta-actions; otherwise nothing."""
+        action = json.loads(self.setup.config).get("action", {})
+        if action.get("type") != "DiscreteMetaAction":
+            return ()
+        along, across = (action.get(name, True) for name in ("longitudinal", "lateral"))
+        if along and across:
+            return MANEUVERS
+        return ("SLOWER", "IDLE", "FASTER") if along else MANEUVERS[:3]
 
     @property
     def functional(self) -> str:

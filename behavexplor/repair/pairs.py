@@ -14,7 +14,8 @@ from behavexplor.judge.rates import NON_INFERIOR, PairedSequence
 from behavexplor.judge.specs import SPECS
 
 CONFIDENCE: Final = 0.95
-COLUMNS: Final = ("", "A", "B", "fixed", "broken", "both", "change (95 %)", "p")
+CHANGE: Final = "change (95 %)"
+COLUMNS: Final = ("", "A", "B", "fixed", "broken", "both", CHANGE, "p")
 LEGEND: Final = "fixed: only A; broken: only B; p: McNemar's exact test, adjusted by Holm's method"
 FAILED, AT_FAULT = "any failure", "failure at fault"
 

@@ -17,7 +17,7 @@ from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
 from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import ViolationEvent, violation_event
-from behavexplor.report.marks import Color, outcome, page_colors, type_color, violation_place
+from behavexplor.report.marks import Color, decisions, outcome, page_colors, type_color, violation_place
 from behavexplor.report.road_shapes import line_kinds
 
 _Number = TypeVar("_Number", bound=np.generic)
@@ -43,6 +43,7 @@ class Footage:
     caption: str  # line of text below the time and the speed
     types: Sequence[str] = ()  # types of the other vehicles, as far as they are known
     violated: Sequence[str] = ()  # names of the violated specs
+    decisions: Sequence[tuple[int, str]] = ()  # the driver's meta-actions, each with its frame
 
     @cached_property
     def event(self) -> ViolationEvent | None:
@@ -62,9 +63,9 @@ def footage_of(execution: Execution, shape: RoadShape) -> Footage:
     Raises:
         InputError: if its record holds no valid scenario.
     """
-    record, scenario = execution.record, execution.scenario
-    types = [npc.type for npc in scenario.npcs]
-    return Footage(execution.load_trace(), shape, outcome(record.violated, record.end), types, record.violated)
+    record, scenario, trace = execution.record, execution.scenario, execution.load_trace()
+    types, caption = [npc.type for npc in scenario.npcs], outcome(record.violated, record.end)
+    return Footage(trace, shape, caption, types, record.violated, decisions(trace, scenario))
 
 
 def decisive_frame(trace: Trace, violated: Sequence[str]) -> int:
@@ -137,7 +138,8 @@ def draw(footage: Footage, frame: int) -> Image.Image:
     if footage.event is not None and frame >= footage.event.frame:
         canvas.circle(np.array(violation_place(trace, footage.event)), 2.2, colors["hit"], 0.4)
     speed = float(np.hypot(*trace.velocity[frame, 0]))
-    return canvas.finished(f"{trace.time[frame]:.1f} s   {speed:.1f} m/s", footage.caption)
+    command = next((name for begin, name in reversed(footage.decisions) if begin <= frame), "")
+    return canvas.finished(f"{trace.time[frame]:.1f} s   {speed:.1f} m/s   {command}".rstrip(), footage.caption)
 
 
 def _nearest(position: Floats, present: Bools) -> list[int]:

@@ -13,7 +13,7 @@ from behavexplor.campaign.record import Record
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import R1, violation_event
-from behavexplor.report.marks import violation_place
+from behavexplor.report.marks import decisions, violation_place
 from behavexplor.report.reading import ReportedRun
 from behavexplor.triage.findings import Finding, Minimized, counted
 
@@ -164,7 +164,7 @@ def cards(run: ReportedRun, limit: int) -> tuple[Card, ...]:
 
 def _minimal_card(card: Card, minimal: Minimized) -> Card:
     """Return the card beside that of a class, with one of its failures in the simplest scenario."""
-    sizes = zip(("vehicles", "free values"), minimal.found, minimal.minimal, strict=True)
+    sizes = zip(("parts", "free values"), minimal.found, minimal.minimal, strict=True)
     facts = tuple((name, f"{before} \N{RIGHTWARDS ARROW} {after}") for name, before, after in sizes)
     return Card(
         class_id=card.class_id,
@@ -228,6 +228,7 @@ def replay_values(trace: Trace, record: Record, states: Sequence[tuple[str, int]
         "moment": packed.frames - 1 if event is None else int(np.searchsorted(packed.kept, event.frame)),
         "partner": event.partner if event and event.spec == R1 else 0,
         "states": list(states),
+        "decisions": [(int(np.searchsorted(packed.kept, at)), name) for at, name in decisions(trace, scenario)],
     }
 
 

@@ -1,4 +1,4 @@
-"""The place at which a trace violates a requirement, which replays and pictures mark with a circle."""
+"""What replays and pictures say of a trace: its outcome, the driver's decisions, and the place of a violation."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,9 @@ import numpy as np
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import VEHICLE_SIZES
+from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.geometry import box_corners
+from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import R1, R2, ViolationEvent
 from behavexplor.report.rendering import source
@@ -63,7 +65,17 @@ def _into_box(point: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
 
 def outcome(violated: Sequence[str], end: str) -> str:
     """Describe the outcome of an execution, to follow its number."""
-    return f"violates {' and '.join(violated) or 'nothing'}, ended by {_ENDED_BY[end]}"
+    verdict = f"failed ({' and '.join(violated)})" if violated else "passed"
+    return f"{verdict}, ended by {_ENDED_BY[end]}"
+
+
+def decisions(trace: Trace, scenario: Scenario) -> list[tuple[int, str]]:
+    """Return the meta-actions that the driver chose, each with its frame; nothing if it does not drive by them."""
+    names = scenario.meta_actions if isinstance(scenario, DrawnScenario) else ()
+    if not names:
+        return []
+    chosen = trace.actions[:, 0].astype(int).tolist()
+    return [(frame, names[action]) for frame, action in zip(trace.action_frame.tolist(), chosen, strict=True)]
 
 
 @cache

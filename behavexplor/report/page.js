@@ -151,8 +151,8 @@
       this.now = Math.min(Math.max(time, 0), this.end);
       const i = this.frame(this.now);
       this.scrub.value = i;
-      const state = this.state();
-      const text = `${this.now.toFixed(1)} s  ${this.motion.speed[i].toFixed(1)} m/s${state && `  state ${state}`}`;
+      const state = this.state(), decision = this.replay.decisions.filter(([begin]) => begin <= i).at(-1)?.[1] || "";
+      const text = `${this.now.toFixed(1)} s  ${this.motion.speed[i].toFixed(1)} m/s  ${decision || (state && `state ${state}`)}`;
       this.output.textContent = text;
       this.scrub.setAttribute("aria-valuetext", text);
       this.draw();

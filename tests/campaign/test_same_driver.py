@@ -1,7 +1,10 @@
 """The driver of a run is found from any folder, and another one in its place is named."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -55,6 +58,24 @@ def test_a_policy_is_found_from_another_folder_and_named_when_gone(place, capsys
     (place / "merge.zip").unlink()
     assert replay() == BAD_INPUT
     assert f"neither here nor in {place}, where the run began" in capsys.readouterr().err
+
+
+def test_an_edited_module_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("edited.py").write_text("def drive(observation):\n    return 3\n")
+    command = [sys.executable, "-m", "behavexplor"]
+    environment = {**os.environ, "PYTHONPATH": str(POLICIES.parents[2]), "XDG_STATE_HOME": str(tmp_path / "state")}
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    flags = ["--env", "merge-v0", "--ads", "edited:drive", "--budget", "4", "--out", "run", "--no-confirm", "--quiet"]
+    subprocess.run([*command, "fuzz", *flags, "--workers", "1"], check=True, env=environment)
+    Path("edited.py").write_text("def drive(observation):\n    return 4\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["fuzz", "--resume", "run", "--budget", "8", "--workers", "1"]) == BAD_INPUT
+    assert "its campaign would test another driver: module edited (SHA-256" in capsys.readouterr().err
+    assert main(["replay", "run", "0"]) == BAD_INPUT
+    err = capsys.readouterr().err
+    assert "if you trust it, add --trust sha256:" in err
+    assert "Changed since the run began: module edited (SHA-256" in err
 
 
 @pytest.mark.filterwarnings("default:The driver is not")

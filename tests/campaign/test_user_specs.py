@@ -109,7 +109,7 @@ def test_the_summary_the_replay_triage_and_the_report_show_it(tmp_path, capsys, 
     assert main(["fuzz", "--resume", str(run), "--workers", "0", "--quiet"]) == OK
     assert "  keeps_below_9 " in capsys.readouterr().out
     assert main(["replay", str(run), str(first), "--out", str(tmp_path)]) == OK
-    assert "violates keeps_below_9, ended by" in capsys.readouterr().out
+    assert "failed (keeps_below_9), ended by" in capsys.readouterr().out
     assert main(["triage", str(run), "--workers", "0", "--quiet"]) == OK
     assert "keeps_below_9/" in capsys.readouterr().out
     assert main(["report", str(run), "--out", str(tmp_path / "page.html")]) == OK

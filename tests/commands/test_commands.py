@@ -118,7 +118,7 @@ def test_a_failure_is_replayed_to_pictures(finished, tmp_path):
     number = next(record["id"] for record in records(folder) if "collision" in record["violated"])
     result = run("replay", folder, number, "--out", tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "violates collision and destination, ended by a collision" in result.stdout
+    assert "failed (collision and destination), ended by a collision" in result.stdout
     assert "gave the same trace" in result.stdout
     assert re.search(r"  collision 0.00 \(violated\), lines [\d.]+, destination [\d.]+ \(violated\)\n", result.stdout)
     with Image.open(tmp_path / f"{number:06d}.gif") as animation:

@@ -206,6 +206,7 @@ def test_what_a_run_says_is_only_shown_and_compared():
         "campaign/opening.py",
         "campaign/provenance.py",
         "campaign/run_summary.py",
+        "campaign/same_driver.py",
         "commands/export.py",
         "commands/fuzz.py",
         "report/reading.py",
@@ -323,9 +324,10 @@ def test_an_own_run_whose_driver_has_changed_needs_a_word_and_does_not_go_on(own
     replay = ["replay", str(own / "run"), "0", "--out", str(tmp_path / "out")]
     resume = ["fuzz", "--resume", str(own / "run"), "--budget", "3", "--workers", "1", "--quiet"]
     capsys.readouterr()
-    for command in (replay, resume):
-        assert main(command) == BAD_INPUT
-        digest = re.search(r"mine.py run.*add --trust (sha256:\w{64})", one_sentence(capsys))[1]
+    assert main(resume) == BAD_INPUT
+    assert "would test another driver: module mine (SHA-256" in one_sentence(capsys)
+    assert main(replay) == BAD_INPUT
+    digest = re.search(r"mine.py run.*add --trust (sha256:\w{64}).*since the run began", one_sentence(capsys))[1]
     assert main([*replay, "--trust", digest]) == OK
     assert main(replay) == BAD_INPUT  # one word, for one command
     capsys.readouterr()

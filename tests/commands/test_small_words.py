@@ -66,7 +66,7 @@ def test_results_are_shown_before_their_files_are_written(tmp_path, monkeypatch,
     monkeypatch.setattr("behavexplor.commands.check.opened_driver", lambda *_, **__: nullcontext(drive))
     assert main(["check", "suite", "--junit", str(file)]) == BAD_INPUT
     printed = capsys.readouterr()
-    assert "R2-7      FAIL  Touched a line" in printed.out
+    assert "FAIL  R2-7\n      Touched a line" in printed.out
     assert "cannot be written" in printed.err
 
 

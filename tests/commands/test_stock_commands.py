@@ -34,6 +34,15 @@ def run(tmp_path_factory):
     return folder
 
 
+def test_replay_says_what_the_driver_decided(run, tmp_path, capsys):
+    execution = next(one for one in stored(run) if one.record.failed)
+    assert main(["replay", str(run), str(execution.id), "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert f"The driver's decisions: {len(execution.load_trace().action_frame)} x FASTER" in text
+    assert "lines" not in text  # nobody is asked to stay on the road there
+    assert "destination" not in text
+
+
 def test_a_campaign_is_stored_with_the_whole_configuration(run):
     records = [execution.record for execution in stored(run)]
     assert len(records) == 8

@@ -2,6 +2,8 @@
 
 import json
 
+import gymnasium
+import highway_env  # noqa: F401 - registers the environments
 import pytest
 
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, config_text, sorted_draws
@@ -79,3 +81,16 @@ def test_the_difference_of_two_setups_is_named(other, difference):
 
 def test_the_json_is_readable():
     assert json.loads(SCENARIO.to_json())["draws"] == {"_make/_place#1": [-1.5], "_make_vehicles": [0.25, 0.1]}
+
+
+@pytest.mark.parametrize("action", [{}, {"lateral": False}, {"longitudinal": False}])
+def test_meta_actions_are_named_as_in_highway_env(action):
+    config = {"action": {"type": "DiscreteMetaAction", **action}}
+    names = gymnasium.make("highway-fast-v0", config=config).unwrapped.action_type.actions
+    setup = Setup("highway-fast-v0", config_text(config), "default", "1.11.0")
+    assert dict(enumerate(DrawnScenario(setup, 0, ()).meta_actions)) == names
+
+
+def test_continuous_actions_have_no_names():
+    setup = Setup("highway-fast-v0", config_text({"action": {"type": "ContinuousAction"}}), "default", "1.11.0")
+    assert DrawnScenario(setup, 0, ()).meta_actions == ()

@@ -89,7 +89,7 @@ def test_what_has_been_minimized_is_not_minimized_again(run, capsys):
     assert main(["minimize", str(run), "--workers", "0", "--quiet"]) == OK
     assert before == {path: path.stat().st_mtime_ns for path in (run / "minimized").iterdir()}
     out = capsys.readouterr().out
-    assert "in the median, vehicles 5 -> " in out
+    assert "in the median, parts 5 -> " in out
     assert all(found.class_id in out for found in read_minimized(run).values())
 
 
@@ -220,7 +220,7 @@ def test_a_report_shows_it_beside_the_failure_that_was_found(run):
     for found in read_minimized(run).values():
         if not found.class_id.startswith("error/"):
             assert f'data-replays="{found.id}-minimized"' in text
-            assert f"<dt>vehicles</dt><dd>5 &#8594; {found.minimal.parts}</dd>" in text
+            assert f"<dt>parts</dt><dd>5 &#8594; {found.minimal.parts}</dd>" in text
 
 
 @pytest.mark.slow
