@@ -74,7 +74,7 @@ def cell(trace: Trace) -> tuple[int, ...]:
     motion = turn @ (trace.velocity[frame, npc] - trace.velocity[frame, 0])
     values = *place, *motion, math.hypot(*trace.velocity[frame, 0])
     edges = [int(np.digitize(value, own)) for value, own in zip(values, EDGES, strict=True)]
-    return *edges, *nearest.niche(trace)[3:]
+    return *edges, *nearest.niche(trace)[5:]
 
 
 def mechanism(simulation: Simulation, scenario: Scenario, trace: Trace) -> object:

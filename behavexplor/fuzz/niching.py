@@ -132,7 +132,8 @@ class Niching:
 
 
 def _niche(trace: Trace, verdict: Verdict, nearest: ClosestApproach | None) -> object:
-    """Return the class of a failure, and the situation of a collision or near miss."""
-    kind = violation_class(trace, verdict.violated) if verdict.violated else None
-    has_situation = nearest and (not verdict.violated or trace.end == "collision")
-    return kind.id if kind else verdict.violated[:1], nearest.niche(trace) if nearest and has_situation else None
+    """Return the situation of a collision or near miss, the class of another failure, or None."""
+    if verdict.violated and trace.end != "collision":
+        kind = violation_class(trace, verdict.violated)
+        return kind.id if kind else verdict.violated[0]
+    return nearest.niche(trace) if nearest else None

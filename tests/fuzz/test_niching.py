@@ -81,13 +81,6 @@ def test_the_share_of_uniform_scenarios_is_that_of_their_failures_or_more():
     assert uniform_share(0.2, failing=2) == pytest.approx(0.5, abs=0.12)
 
 
-def test_failures_of_another_class_are_another_kind_of_situation():
-    method = search()
-    for violated in ("lines", "destination", "destination"):
-        tell(method, approach(1.0), Verdict({}, (violated,)))
-    assert method.status() == {"niches": 2}
-
-
 @pytest.mark.parametrize("redraw", [0.0, 1.0])
 def test_a_child_differs_from_its_parent(redraw):
     method = search(redraw=redraw, exchange=0.0)
