@@ -1,8 +1,8 @@
 """Niching against uniform draws in highway-env's own environments: python docs/niching.py OUT.csv FOLDER METHOD...
 
 FOLDER has policies, each with its settings file beside it. A METHOD is a name, with options as NAME:KEY=VALUE,... and
-another budget as NAME*1000. Each campaign is a row of the file: what it found, and its CPU time. Without a method, the
-rows that are there are compared.
+other budgets as NAME*750,3750. Each budget of a campaign is a row of the file: what it found, and its CPU time. Without
+a method, the rows that are there are compared.
 """
 
 import csv
@@ -13,12 +13,12 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
-from behavexplor.bench.statistics import a12, holm, mann_whitney
+from behavexplor.bench.statistics import compare, compare_together
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.execution.simulation import Simulation
@@ -31,6 +31,7 @@ from behavexplor.judge.specs import SPECS, judge
 from behavexplor.triage.last_chance import last_chance
 
 BUDGET, SEEDS, IN_FLIGHT, SLOTS = 750, 10, 8, 32
+RARE = (0.02, 0.1)  # shares of failures among uniform draws; policies between them are compared together
 MEASURES = ("failures", "classes", "cells", "mechanisms")
 COLUMNS = ("policy", "env", "method", "seed", *MEASURES, "cpu")
 EDGES = (  # of cells: place ahead and to the right, relative speed in these directions, and the ego's speed
@@ -42,26 +43,26 @@ EDGES = (  # of cells: place ahead and to the right, relative speed in these dir
 )
 
 
-class Found:
-    """What a campaign has found: failures, their classes, cells, and the crashes at fault."""
+class Failure(NamedTuple):
+    """A failure of a campaign."""
 
-    def __init__(self) -> None:
-        self.failures = 0
-        self.classes: set[str] = set()
-        self.cells: set[Any] = set()
-        self.crashes: list[tuple[Scenario, Trace]] = []
+    number: int  # of the execution
+    kind: str  # its class
+    cell: Any  # of a collision with a vehicle; None for others
+    crash: tuple[Scenario, Trace] | None  # of a collision at fault
 
-    def add(self, scenario: Scenario, trace: Trace, violated: tuple[str, ...]) -> None:
-        """Count an execution."""
-        if not violated:
-            return
-        self.failures += 1
+    @classmethod
+    def of(cls, number: int, scenario: Scenario, trace: Trace, violated: tuple[str, ...]) -> "Failure":
+        """Describe the failure of an execution."""
         kind = violation_class(trace, violated)
-        self.classes.add(kind.id if kind else violated[0])
-        if trace.end == "collision" and trace.partner > 0:
-            self.cells.add(cell(trace))
-            if is_at_fault(collision_fault(trace, violated)):
-                self.crashes.append((scenario, trace))
+        hit = trace.end == "collision" and trace.partner > 0
+        at_fault = hit and is_at_fault(collision_fault(trace, violated))
+        return cls(
+            number,
+            kind.id if kind else violated[0],
+            cell(trace) if hit else None,
+            (scenario, trace) if at_fault else None,
+        )
 
 
 def cell(trace: Trace) -> tuple[int, ...]:
@@ -73,7 +74,7 @@ def cell(trace: Trace) -> tuple[int, ...]:
     motion = turn @ (trace.velocity[frame, npc] - trace.velocity[frame, 0])
     values = *place, *motion, math.hypot(*trace.velocity[frame, 0])
     edges = [int(np.digitize(value, own)) for value, own in zip(values, EDGES, strict=True)]
-    return *edges, *nearest.niche(trace)[3:]
+    return *edges, *nearest.niche(trace)[5:]
 
 
 def mechanism(simulation: Simulation, scenario: Scenario, trace: Trace) -> object:
@@ -82,10 +83,10 @@ def mechanism(simulation: Simulation, scenario: Scenario, trace: Trace) -> objec
     return chance and nearest and (chance, bearing_of(trace, nearest.frame, nearest.npc))
 
 
-def campaign(episodes: Any, method: Any, in_flight: int, budget: int) -> Found:
-    """Run a campaign in lock-step."""
-    found, ended = Found(), dict[int, Trace]()
-    waiting: deque[Any] = deque()
+def campaign(episodes: Any, method: Any, in_flight: int, budget: int) -> tuple[list[Failure], list[float]]:
+    """Run a campaign in lock-step. Return its failures, and the CPU time after each execution [s]."""
+    failures, times, ended = list[Failure](), list[float](), dict[int, Trace]()
+    waiting, begun = deque[Any](), time.process_time()
     for number in range(budget):
         while len(waiting) < min(in_flight, budget - number):
             candidate = method.ask()
@@ -96,50 +97,61 @@ def campaign(episodes: Any, method: Any, in_flight: int, budget: int) -> Found:
         candidate, trace = waiting.popleft(), ended.pop(number)
         verdict = judge(trace, SPECS)
         method.tell(candidate, trace, verdict)
-        found.add(candidate.scenario, trace, verdict.violated)
-    return found
+        if verdict.violated:
+            failures.append(Failure.of(number, candidate.scenario, trace, verdict.violated))
+        times.append(time.process_time() - begun)
+    return failures, times
 
 
 def rows(policy: Path, method: str) -> Iterator[tuple[Any, ...]]:
-    """Run the campaigns of a method on a policy, and yield a row for each."""
+    """Run the campaigns of a method on a policy, and yield a row for each and each of its budgets."""
     settings = yaml.safe_load(policy.with_suffix(".yaml").read_text())
     simulation = Simulation(settings["env"], str(policy), env_config=settings["config"])
-    called, _, budget = method.partition("*")
+    called, _, others = method.partition("*")
     name, _, given = called.partition(":")
     options = {key: json.loads(value) for key, value in (pair.split("=") for pair in given.split(",") if pair)}
+    budgets = [int(one) for one in others.split(",") if one] or [BUDGET]
     kind, episodes = load_method(name), simulation.lock_step(SLOTS)
     for seed in range(SEEDS):
-        begun = time.process_time()
         search = kind(simulation.logical, seed, kind.Options(**options))
-        found = campaign(episodes, search, SLOTS if name == "uniform" else IN_FLIGHT, int(budget or BUDGET))
-        cpu = time.process_time() - begun
-        mechanisms = {mechanism(simulation, *crash) for crash in found.crashes} - {None}
-        counts = found.failures, len(found.classes), len(found.cells), len(mechanisms)
-        yield policy.stem, settings["env"], method, seed, *counts, round(cpu, 3)
+        failures, times = campaign(episodes, search, SLOTS if name == "uniform" else IN_FLIGHT, max(budgets))
+        mechanisms = [one.crash and mechanism(simulation, *one.crash) for one in failures]
+        for budget in budgets:
+            within = [
+                (one.kind, one.cell, of) for one, of in zip(failures, mechanisms, strict=True) if one.number < budget
+            ]
+            counts = [len({row[column] for row in within} - {None}) for column in range(3)]
+            label = called if budget == BUDGET else f"{called}*{budget}"
+            yield policy.stem, settings["env"], label, seed, len(within), *counts, round(times[budget - 1], 3)
 
 
-def compare(path: Path, base: str = "uniform") -> None:
-    """Print the means of each method, and A12 against uniform draws with p (Mann-Whitney, Holm over a table)."""
+def print_comparison(path: Path, base: str = "uniform") -> None:
+    """Print the means of each method, and A12 against uniform draws with p (Holm over the lines of a measure).
+
+    The last lines are those of all policies whose failures are rare (van Elteren).
+    """
+    samples: dict[tuple[str, str], dict[str, list[float]]] = {}  # by policy and method, and by measure
     with path.open() as file:
-        stored = list(csv.DictReader(file, COLUMNS))
-    samples: dict[tuple[str, str, str], list[float]] = {}
-    for row in stored:
-        for measure in (*MEASURES, "cpu"):
-            samples.setdefault((row["policy"], row["method"], measure), []).append(float(row[measure]))
-    policies, methods = (list(dict.fromkeys(row[column] for row in stored)) for column in ("policy", "method"))
-    pairs = [key for key in samples if key[1] != base and key[2] != "cpu"]
-    tests = [mann_whitney(samples[key], samples[key[0], base, key[2]]) for key in pairs]
-    corrected = dict(zip(pairs, holm(tests), strict=True))
-    for policy in policies:
-        for method in [one for one in methods if (policy, one, "cpu") in samples]:
-            cells = [f"{np.mean(samples[policy, method, 'cpu']):6.2f} s"]
-            for measure in MEASURES:
-                own, text = samples[policy, method, measure], ""
-                if method != base:
-                    effect = a12(own, samples[policy, base, measure])
-                    text = f" A12 {effect:.2f} p {corrected[policy, method, measure]:.3f}"
-                cells.append(f"{measure} {np.mean(own):6.1f}{text}")
-            print(f"{policy:14} {method:24}", "  ".join(cells))
+        for row in csv.DictReader(file, COLUMNS):
+            own = samples.setdefault((row["policy"], row["method"]), {name: [] for name in (*MEASURES, "cpu")})
+            for name, values in own.items():
+                values.append(float(row[name]))
+    against = {key: samples[key[0], base] for key in samples if key[1] != base}
+    lines = {key: [f"{np.mean(own['cpu']):6.2f} s"] for key, own in samples.items()}
+    shares = {policy: np.mean(own["failures"]) / BUDGET for (policy, method), own in samples.items() if method == base}
+    rare = {policy for policy, share in shares.items() if RARE[0] <= share <= RARE[1]}
+    for measure in MEASURES:
+        for key, own in samples.items():
+            lines[key].append(f"{measure} {np.mean(own[measure]):6.1f}")
+        pairs = {key: (samples[key][measure], uniform[measure]) for key, uniform in against.items()}
+        for key, found in zip(pairs, compare(list(pairs.values())), strict=True):
+            lines[key][-1] += f" A12 {found.effect:.2f} p {found.corrected:.3f}"
+        strata = {method: [pairs[key] for key in pairs if key[1] == method and key[0] in rare] for _, method in pairs}
+        strata = {method: some for method, some in strata.items() if len(some) == len(rare)}
+        for method, joint in zip(strata, compare_together(list(strata.values())), strict=True):
+            lines.setdefault(("rare", method), []).append(f"{measure} A12 {joint.effect:.2f} p {joint.corrected:.3f}")
+    for (policy, method), cells in lines.items():
+        print(f"{policy:14} {method:24}", "  ".join(cells))
 
 
 if __name__ == "__main__":
@@ -148,4 +160,4 @@ if __name__ == "__main__":
         for method in others[1:]:
             with Path(out).open("a", newline="") as file:
                 csv.writer(file).writerows(rows(policy, method))
-    compare(Path(out))
+    print_comparison(Path(out))

@@ -2,7 +2,8 @@
 
 The score of an execution is its least time to collision. It gets worse with the logarithm of how often its kind of
 situation was seen, as fitness sharing does it with the number of neighbors. So failures that are known already make
-room for those that are not.
+room for those that are not. Some scenarios stay uniform: where a few kinds are all that there are, chance finds them as
+fast.
 
 Sources: Goldberg and Richardson, "Genetic algorithms with sharing for multimodal function optimization", ICGA 1987, for
 niches; Hayward, "Near-miss determination through use of a scale of danger", Highway Research Record 384, 1972, for the
@@ -39,6 +40,7 @@ class NichingOptions:
 
     population: Annotated[int, between(1, MAX_POPULATION)] = 20  # number of executions that may become parents
     initial: Annotated[int, between(1)] = 20  # number of uniform scenarios executed before the first child
+    uniform: Annotated[float, between(0, 1)] = 0.2  # least share of uniform scenarios after these
     penalty: Annotated[float, between(0)] = 0.5  # worse by this when the niche is seen e times as often [s]
     exchange: Annotated[float, between(0, 1)] = 0.5  # probability that a child takes a vehicle from either parent
     redraw: Annotated[float, between(0, 1)] = 0.4  # probability that vehicles are drawn anew; else, noise is added
@@ -64,14 +66,17 @@ class Niching:
         self._drawn, self._drawn_failed = 0, 0  # uniform scenarios that have been executed
 
     def ask(self) -> Candidate:
-        """Return uniform scenarios at first, then children, and a share of uniform ones as great as their failures."""
+        """Return uniform scenarios at first, then children and uniform ones, as many as fail or more."""
         rng = self._asker.draws()
-        if self._asker.asked < self._options.initial or not self._parents:
-            return self._asker.candidate(self._asker.uniform(rng)[0], rng, UNIFORM)
-        if rng.random() * self._drawn < self._drawn_failed:
+        is_early = self._asker.asked < self._options.initial or not self._parents
+        if is_early or rng.random() < self._uniform_share():
             return self._asker.candidate(self._asker.uniform(rng)[0], rng, UNIFORM)
         parent = self._picked(rng)
         return self._asker.candidate(self._child(parent.vector, rng), rng, CHILD, parent.number)
+
+    def _uniform_share(self) -> float:
+        """Return the share of uniform scenarios after the first ones."""
+        return max(self._options.uniform, self._drawn_failed / max(self._drawn, 1))
 
     def _picked(self, rng: np.random.Generator) -> _Parent:
         return self._parents[int(rng.integers(len(self._parents)))]

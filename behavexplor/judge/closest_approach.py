@@ -14,6 +14,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.jit import kernel_in_place
 from behavexplor.judge.events import recent
 from behavexplor.judge.fault import touched_npc
+from behavexplor.judge.situation import bearing_of, maneuver_of
 
 LONGEST: Final = 5.0  # greater times to collision tell nothing [s]
 BEFORE: Final = 1.0  # time between the situation that leads to a collision and the contact [s]
@@ -24,7 +25,7 @@ _SPEEDS: Final = (6.0, 14.0, 22.0)  # edges between kinds of the ego's speeds [m
 _DISC_PLACE: Final = 0.34  # of the outer two of a vehicle's three discs, as a share of its length
 _DISC_RADIUS: Final = 0.55  # as a share of its width
 
-Niche = tuple[int, ...]
+Niche = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,11 @@ class ClosestApproach:
         return cls(time_left, int(frame), int(npc)) if npc else None
 
     def niche(self, trace: Trace) -> Niche:
-        """Return the kind of situation: the other vehicle's sector, relative speed, own speed, and latest command.
+        """Return the kind of situation.
 
-        A command is rounded. So each meta-action is a kind of its own, and a continuous command is less than, about or
-        more than zero.
+        It is the ego's maneuver and where the other vehicle was or came from, in words, as classes have them; then the
+        other's sector and relative speed, and the ego's speed and latest command. A command is rounded. So each
+        meta-action is a kind of its own, and a continuous command is less than, about or more than zero.
         """
         heading = trace.heading[self.frame, 0]
         x, y = trace.position[self.frame, self.npc] - trace.position[self.frame, 0]
@@ -59,7 +61,8 @@ class ClosestApproach:
         speed = math.hypot(*trace.velocity[self.frame, 0])
         latest = int(np.searchsorted(trace.action_frame, self.frame, side="right")) - 1
         command = np.rint(trace.actions[latest]).astype(int).tolist() if latest >= 0 else []
-        return sector, int(np.digitize(closing, _CLOSING)), int(np.digitize(speed, _SPEEDS)), *command
+        words = maneuver_of(trace, self.frame), bearing_of(trace, self.frame, self.npc)
+        return *words, sector, int(np.digitize(closing, _CLOSING)), int(np.digitize(speed, _SPEEDS)), *command
 
 
 def _before_contact(trace: Trace, partner: int) -> int:

@@ -28,9 +28,9 @@ PATIENCE = 120.0  # for what comes anyhow [s]
 class Life:
     """A campaign's process, begun or resumed in a folder, and what it shows on its terminal."""
 
-    def __init__(self, folder, workers):
+    def __init__(self, folder, workers, campaign=CAMPAIGN):
         self.folder = folder
-        run = ["--resume", folder] if (folder / "config.yaml").exists() else [*CAMPAIGN, "--out", folder]
+        run = ["--resume", folder] if (folder / "config.yaml").exists() else [*campaign, "--out", folder]
         command = [sys.executable, "-m", "behavexplor", "fuzz", *map(str, run), "--workers", str(workers)]
         self._terminal, theirs = pty.openpty()
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "120", "LINES": "40"}
@@ -159,10 +159,10 @@ class Attack:
         return life, not ended, len(seen)
 
 
-def uninterrupted(folder, workers):
+def uninterrupted(folder, workers, campaign=CAMPAIGN):
     """The records of a campaign that runs to its end, and its times to the first screen and from there on [s]."""
     begun = time.monotonic()
-    life = Life(folder, workers)
+    life = Life(folder, workers, campaign)
     life.wait(PATIENCE, lambda: life.shown is not None)
     shown = time.monotonic()
     life.wait(PATIENCE)
@@ -208,3 +208,23 @@ def test_a_campaign_survives_any_number_of_kills(tmp_path):
     figures = f"{kills} kills in {lives} lives of {finished + 1} campaigns, {acknowledged} acknowledged executions"
     print(figures, phases)  # noqa: T201 - the figures of docs/robustness.md
     assert {"start", "warm-up", "replay of what was stored", "run", "commit"} <= set(phases)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="the search for orphans reads /proc")
+def test_a_search_in_highway_env_does_not_depend_on_workers_or_kills(tmp_path):
+    campaign = ["--ads", "constant:IDLE", "--env", "merge-v0", "--budget", str(BUDGET), "--seed", "3"]
+    campaign += ["--method", "niching"]
+    whole, *others = [uninterrupted(tmp_path / f"whole-{workers}", workers, campaign)[0] for workers in (0, 1, 2)]
+    assert others == [whole, whole]
+    assert {record.origin for record in whole} == {"uniform", "child"}
+    folder = tmp_path / "killed"
+    for workers, count in ((0, 60), (1, 120), (2, 180)):
+        life = Life(folder, workers, campaign)
+        assert not life.wait(PATIENCE, lambda count=count: len(stored(folder)) >= count)
+        life.kill(whole_group=True)
+        assert life.bury() == -signal.SIGKILL
+        records = stored(folder)
+        assert records == whole[: len(records)]
+        assert count <= len(records) < BUDGET
+    assert uninterrupted(folder, 2)[0] == whole

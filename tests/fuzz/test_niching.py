@@ -34,12 +34,17 @@ def tell(method, trace, verdict=PASSED):
     return candidate
 
 
+def child(method):
+    """The next candidate that is not uniform."""
+    return next(candidate for candidate in iter(method.ask, None) if candidate.origin == CHILD)
+
+
 def test_the_nearest_miss_becomes_the_parent():
     method = search()
     tell(method, approach(3.0))
     near = tell(method, approach(1.0))
     tell(method, approach(2.0))
-    assert method.ask().parent == near.number
+    assert child(method).parent == near.number
 
 
 def test_what_was_seen_often_makes_room_for_what_is_new():
@@ -47,26 +52,33 @@ def test_what_was_seen_often_makes_room_for_what_is_new():
     for _ in range(10):
         tell(method, approach(1.0))
     rare = tell(method, approach(3.0, side=True))
-    assert method.ask().parent == rare.number
+    assert child(method).parent == rare.number
 
 
 def test_without_a_penalty_it_does_not():
     method = search(penalty=0.0)
     first = tell(method, approach(1.0))
     tell(method, approach(3.0, side=True))
-    assert method.ask().parent == first.number
+    assert child(method).parent == first.number
 
 
-def test_the_share_of_uniform_scenarios_is_that_of_their_failures():
-    method = search(initial=20)
-    for number in range(20):
-        tell(method, approach(1.0), FAILED if number % 2 else PASSED)
-    origins = [tell(method, approach(1.0), FAILED if number % 2 else PASSED).origin for number in range(200)]
-    assert 70 < origins.count(UNIFORM) < 130
-    never = search(initial=20)
-    for _ in range(20):
-        tell(never, approach(1.0))
-    assert {tell(never, approach(1.0), FAILED).origin for _ in range(100)} == {CHILD}
+def uniform_share(uniform, failing):
+    """The share of uniform candidates if this share of them is asked for, and every `failing`th of them fails."""
+    method, drawn, origins = search(initial=20, uniform=uniform), 0, []
+    for _ in range(420):
+        candidate = method.ask()
+        drawn += candidate.origin == UNIFORM
+        fails = candidate.origin == CHILD or (failing and drawn % failing == 0)
+        method.tell(candidate, approach(1.0), FAILED if fails else PASSED)
+        origins.append(candidate.origin)
+    return origins[20:].count(UNIFORM) / 400
+
+
+def test_the_share_of_uniform_scenarios_is_that_of_their_failures_or_more():
+    assert uniform_share(0.0, failing=0) == 0.0
+    assert uniform_share(0.0, failing=2) == pytest.approx(0.5, abs=0.12)
+    assert uniform_share(0.2, failing=0) == pytest.approx(0.2, abs=0.08)
+    assert uniform_share(0.2, failing=2) == pytest.approx(0.5, abs=0.12)
 
 
 @pytest.mark.parametrize("redraw", [0.0, 1.0])
@@ -75,14 +87,13 @@ def test_a_child_differs_from_its_parent(redraw):
     parent = tell(method, approach(1.0))
     known = method._asker.encoding.encode(parent.scenario)
     for _ in range(50):
-        child = method._asker.encoding.encode(tell(method, approach(2.0)).scenario)
-        assert (child != known).any()
+        assert (method._asker.encoding.encode(child(method).scenario) != known).any()
 
 
 def test_a_mutation_that_draws_anew_leaves_other_vehicles_as_they_are():
     method = search(redraw=1.0, exchange=0.0)
     parent = tell(method, approach(1.0)).scenario
-    kept = [sum(npc in parent.npcs for npc in tell(method, approach(2.0)).scenario.npcs) for _ in range(30)]
+    kept = [sum(npc in parent.npcs for npc in child(method).scenario.npcs) for _ in range(30)]
     assert np.mean(kept) > len(parent.npcs) / 2
 
 
@@ -90,4 +101,4 @@ def test_a_failure_is_better_than_any_near_miss():
     method = search()
     tell(method, approach(0.05))
     failed = tell(method, approach(3.0, side=True), FAILED)
-    assert method.ask().parent == failed.number
+    assert child(method).parent == failed.number

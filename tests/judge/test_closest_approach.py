@@ -57,22 +57,22 @@ def test_a_partner_that_appears_late_is_seen_when_it_is_there():
 
 
 @pytest.mark.parametrize(("place", "sector"), [((30, 0), 0), ((30, 30), 1), ((0, 30), 2), ((-30, 0), 4), ((0, -30), 6)])
-def test_a_niche_begins_with_the_sector_seen_from_the_ego(place, sector):
+def test_a_niche_has_the_sector_seen_from_the_ego(place, sector):
     for turned in (0.0, np.pi / 2, -3.0):
         x, y = (
             np.cos(turned) * place[0] - np.sin(turned) * place[1],
             np.sin(turned) * place[0] + np.cos(turned) * place[1],
         )
         trace = drive(moving(speed=1.0, heading=turned), moving(x=x, y=y, speed=1.0, heading=turned))
-        assert ClosestApproach(1.0, 0, 1).niche(trace)[0] == sector
+        assert ClosestApproach(1.0, 0, 1).niche(trace)[2] == sector
 
 
-def test_a_niche_has_the_speeds_and_the_command_at_that_moment():
+def test_a_niche_has_the_words_the_speeds_and_the_command_at_that_moment():
     trace = drive(moving(speed=15.0), moving(x=60.0, speed=3.0))
     commands = replace(trace, actions=np.array([[3.0], [1.0]]), action_frame=np.array([0, 30]))
     early, late = ClosestApproach(1.0, 29, 1).niche(commands), ClosestApproach(1.0, 30, 1).niche(commands)
-    assert early == (0, 2, 2, 3)
-    assert late == (0, 2, 2, 1)
+    assert early == ("going-straight", "leading", 0, 2, 2, 3)
+    assert late == ("going-straight", "leading", 0, 2, 2, 1)
 
 
 def test_without_a_vehicle_near_there_is_nothing():
