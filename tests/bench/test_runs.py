@@ -111,7 +111,9 @@ def test_every_cell_is_run_and_everything_is_written(whole):
         assert int(row["R1_npc_caused"]) + int(row["R1_other"]) == int(row["failed_R1"])
         assert (row["r_BF"] != "") == (row["method"] == "BehAVExplor")
     assert "4 of 4 campaigns finished" in result.stdout
-    assert (folder / "out" / "tables.txt").read_text().strip() in result.stdout
+    assert "BehAVExplor against Uniform: not distinguishable in 1 of 1 scenarios." in result.stdout
+    assert f"All tables: {folder / 'out' / 'tables.txt'}" in result.stdout
+    assert max(map(len, result.stdout.replace(str(folder), "").splitlines())) <= 80
     assert f"Report: {folder / 'out' / 'report.html'}" in result.stdout
     assert "All 4 campaigns are finished." in (folder / "out" / "report.html").read_text()
     names = {path.name for path in (folder / "out" / "tables").iterdir()}
