@@ -16,7 +16,7 @@ from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, forecas
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize
 from behavexplor.bench.table import Table, table_csv, table_markdown
 from behavexplor.bench.tables import tables
-from behavexplor.campaign.campaign import search_method
+from behavexplor.campaign.campaign import method_options, search_method
 from behavexplor.campaign.config import RUNS, check_said_twice
 from behavexplor.campaign.opening import stopped_by_signals
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
@@ -75,6 +75,8 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     archived = read_archive(chosen.runs(), root)
     runs = [run for run in chosen.runs() if run not in archived]
     if dry_run:
+        for run in runs:
+            method_options(run.config)
         say(_plan(chosen, runs, root, jobs))
         return OK
     code = OK

@@ -149,6 +149,13 @@ def test_what_is_finished_is_not_run_again_and_tables_are_the_same_files(whole):
     assert {path: path.stat().st_mtime_ns for path in times} == times
 
 
+def test_a_dry_run_checks_options(tmp_path, capsys):
+    methods = "{A: {method: behavexplor, options: {keeep: 1}}}"
+    (tmp_path / "one.yaml").write_text(f"name: one\nbudget: 5\nseeds: 1\nenvs: [lane-change]\nmethods: {methods}\n")
+    assert main(["bench", str(tmp_path / "one.yaml"), "--dry-run"]) == 2
+    assert "options of behavexplor 'keeep'" in capsys.readouterr().err
+
+
 def test_a_dry_run_says_how_much_is_left_and_makes_nothing(whole, tmp_path, capsys):
     folder, _ = whole
     command = ["bench", str(folder / "small.yaml"), "--unconfined", "--dry-run", "--out"]
@@ -157,6 +164,8 @@ def test_a_dry_run_says_how_much_is_left_and_makes_nothing(whole, tmp_path, caps
     assert "4 campaigns of 20 executions" in printed
     assert "0 finished; 80 executions left, about 0:" in printed
     assert not (tmp_path / "new").exists()
+    assert main(["status", str(folder / "out")]) == 2
+    assert "name one that it holds, such as " in capsys.readouterr().err
     assert main([*command, str(folder / "out")]) == 0
     assert "4 finished; 0 executions left, about 0:00" in capsys.readouterr().out
 
