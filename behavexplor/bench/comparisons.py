@@ -26,6 +26,13 @@ from behavexplor.bench.table import (
 )
 from behavexplor.data.csv_text import csv_text
 
+_at_fault: Final[tuple[str, str, Figure]] = ("at-fault", "failures at fault", Summary.at_fault)
+UNDECIDED: Final = "undecided"
+_TOLD: Final = (
+    "Means of the campaigns, also of the method that names a column. A12: probability that a campaign of the first "
+    f"method finds more. Verdict: two-sided Mann-Whitney U test with Holm's correction, level {LEVEL:g}; undecided: "
+    "not distinguishable."
+)
 Sample = tuple[str, str, str, str, list[float], list[float]]
 
 
@@ -45,7 +52,7 @@ def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Ta
 
 def compared_figures(summaries: Sequence[Summary]) -> list[tuple[str, str, Figure]]:
     """Return the figures in which methods are compared: their keys, their names, and the figures."""
-    figures: list[tuple[str, str, Figure]] = [("at-fault", "failures at fault", Summary.at_fault)]
+    figures = [_at_fault]
     if all_classified(summaries):
         figures.append(("at-fault-classes", "classes of failures at fault", n_kinds_at_fault))
         figures.append(("unique", "unique violations", unique(None)))
@@ -83,6 +90,41 @@ def samples(
         for one, other in pairs
     ]
     return [sample for sample in found if sample[4] and sample[5]]
+
+
+def headline(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
+    """Return what an experiment says first: a narrow table of verdicts, with a sentence on each method as a note.
+
+    Each method is compared with the baseline, or the reference with each other method if there is no baseline, by the
+    classes of failures at fault, or the failures if they have no classes. Without two methods, there is no table.
+    """
+    named = {name: pairs for name, _, pairs in families(experiment)}
+    pairs = named[experiment.baseline or experiment.compared]
+    _, words, figure = next((one for one in compared_figures(summaries) if one[0] == "at-fault-classes"), _at_fault)
+    found = samples(experiment, summaries, pairs, figure)
+    if not found:
+        return []
+    compared = compare([sample[4:] for sample in found])
+    shown = 0 if experiment.baseline else 1  # which one of a pair differs between the rows
+    rows = []
+    for (*place, one, other, _, _), c in zip(found, compared, strict=True):
+        verdict = UNDECIDED if c.corrected >= LEVEL else c.verdict
+        rows.append((" ".join(place_cells(experiment, *place)), (one, other)[shown], *c.means, c.effect, verdict))
+    places = [row[0] for row in rows]
+    blocks = tuple(places.count(place) for place in dict.fromkeys(places))
+    names = ["Scenario", ("Method", "Against")[shown], "Mean", "Mean", "A12", "Verdict"]
+    names[3 - shown] = pairs[0][1 - shown]
+    heads = tuple(Column(name, digits=2 if name == "A12" else 1) for name in names)
+    notes = [_TOLD]
+    for one, other in pairs:
+        said = [
+            c.verdict.partition(",")[0]
+            for sample, c in zip(found, compared, strict=True)
+            if sample[2:4] == (one, other)
+        ]
+        counts = ", ".join(f"{word} in {said.count(word)}" for word in sorted(set(said)))
+        notes += [f"{one} against {other}: {counts} of {len(said)} scenarios."] if said else []
+    return [Table("headline", f"Number of {words}", heads, tuple(rows), blocks, tuple(notes))]
 
 
 def joint_comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:

@@ -343,6 +343,15 @@ def search_method(config: CampaignConfig, logical: LogicalScenario) -> SearchMet
     Raises:
         InputError: if there is no method of that name, or if its options are invalid.
     """
-    kind = load_method(config.method)
-    options: Any = checked(kind.Options, config.options, f"options of {config.method}")
+    kind, options = method_options(config)
     return kind(logical, config.seed, options)
+
+
+def method_options(config: CampaignConfig) -> tuple[Callable[..., SearchMethod], Any]:
+    """Return the class of a campaign's search method, and its options, checked.
+
+    Raises:
+        InputError: if there is no method of that name, or if its options are invalid.
+    """
+    kind = load_method(config.method)
+    return kind, checked(kind.Options, config.options, f"options of {config.method}")

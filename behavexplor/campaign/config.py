@@ -171,7 +171,9 @@ def stored_config(run: Path) -> StoredConfig:
     """
     path = run / CONFIG
     if not path.is_file():
-        raise InputError(f"{run} is not a run folder, or its {CONFIG} is missing: restore the file or start a new run")
+        inside = next((run / RUNS).rglob(CONFIG), None)  # of an experiment, or of many campaigns
+        way = f"name one that it holds, such as {inside.parent}" if inside else "restore the file or start a new run"
+        raise InputError(f"{run} is not a run folder, or its {CONFIG} is missing: {way}")
     values = read_yaml(path)
     if not values:
         raise InputError(f"{path} is empty, so the configuration of the run is lost: restore it or start a new run")

@@ -84,4 +84,7 @@ def explained(method: str, rate: UniformRate | None) -> str:
         return "The search chose these scenarios, so their share of failures is not the driver's failure rate."
     if method in INDEPENDENT:
         return f"The scenarios were drawn uniformly, so this is the driver's failure rate: {rate.words}."
-    return f"The search chose its scenarios. Of others, drawn uniformly, the driver failed in {rate.words}."
+    return (
+        "The search chose its scenarios, so this is not the driver's failure rate. Its rate is that in scenarios which "
+        f"are drawn uniformly: {rate.words}."
+    )

@@ -9,21 +9,21 @@ from typing import Annotated, Any
 
 import tyro
 
-from behavexplor.bench.comparisons import curves, curves_csv, curves_svg
+from behavexplor.bench.comparisons import curves, curves_csv, curves_svg, headline
 from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, read_experiment
 from behavexplor.bench.experiment_archive import ARCHIVE, Archive, read_archive, write_archive
 from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, forecast, run_state
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize
 from behavexplor.bench.table import Table, table_csv, table_markdown
 from behavexplor.bench.tables import tables
-from behavexplor.campaign.campaign import search_method
+from behavexplor.campaign.campaign import method_options, search_method
 from behavexplor.campaign.config import RUNS, check_said_twice
 from behavexplor.campaign.opening import stopped_by_signals
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, Trust
 from behavexplor.commands.grids import text
-from behavexplor.commands.wording import clock, counted, say
+from behavexplor.commands.wording import clock, counted, hanging, say
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import available_cores
@@ -62,7 +62,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
         dry_run: Only show the number of campaigns and how long they will take.
         tables_only: Only write the tables of the finished campaigns.
         unconfined: Allow drivers that are not shipped with behavexplor to write files and use the network.
-        quiet: Print only the tables.
+        quiet: Print only the verdicts.
     """
     chosen = read_experiment(experiment)
     if not tables_only:
@@ -75,6 +75,8 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     archived = read_archive(chosen.runs(), root)
     runs = [run for run in chosen.runs() if run not in archived]
     if dry_run:
+        for run in runs:
+            method_options(run.config)
         say(_plan(chosen, runs, root, jobs))
         return OK
     code = OK
@@ -182,7 +184,7 @@ def _summaries(runs: Sequence[PlannedRun], root: Path, *, quiet: bool) -> dict[P
 
 
 def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
-    """Print the tables, and write the tables, curves, summaries, archive and page to the experiment folder."""
+    """Print the verdicts, and write the tables, curves, summaries, archive and page to the experiment folder."""
     summaries = list(campaigns.values())
     made = tables(experiment, summaries)
     printed = "\n\n".join(map(text, made)) + "\n"
@@ -192,7 +194,8 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     figure = curves_svg(drawn)
     if figure is not None:
         files["curves.svg"] = figure
-    files[PAGE] = experiment_page(experiment, summaries, made, drawn)
+    first = headline(experiment, summaries)
+    files[PAGE] = experiment_page(experiment, summaries, [*first, *made], drawn)
     try:
         folder_in(root, "tables")
         for name, content in files.items():
@@ -200,7 +203,9 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
         write_archive(campaigns, root)
     except OSError as error:
         raise InputError(f"The tables in {root} cannot be written: {error.strerror}") from None
-    say(printed)
+    for table in first:
+        say("\n".join([text(replace(table, notes=())), "", *(hanging("", note) for note in table.notes), ""]))
+    say(f"All tables: {root / 'tables.txt'}")
 
 
 def _files(table: Table) -> dict[str, str]:

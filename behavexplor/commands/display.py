@@ -79,7 +79,7 @@ class Display:
     def _line(self, progress: Progress) -> str:
         found = f"{progress.failed} failed in {class_count(len(progress.classes))}"
         times = f"{rate(progress):.1f}/s, {self._left(progress)} left"
-        return f"{clock(progress.elapsed)}  {self._done(progress)}, {found}, {_at_fault(progress)}; {times}"
+        return f"{clock(progress.elapsed)}  {self._done(progress)}, {found}; {times}"
 
     def _screen(self, progress: Progress) -> Panel:
         left = [
@@ -93,7 +93,7 @@ class Display:
         right = [("failed", f"{progress.failed} ({share(progress.failed, progress)})")]
         right += [(name, f"{count}{_ago(progress, name)}") for name, count in progress.violations.items()]
         right += [("classes of failures", f"{len(progress.classes)}{_ago(progress, 'class')}")]
-        right += [("at fault", f"{progress.at_fault} in {class_count(_classes_at_fault(progress))}")]
+        right += [("by another's fault", str(progress.failed - progress.at_fault))]
         figures = {_FIGURES.get(name, name.replace("_", " ")): value for name, value in progress.method.items()}
         columns = [left, [*right, *((name, f"{value:.4g}") for name, value in figures.items())]]
         table = _side_by_side(columns if self._console.width >= _WIDE else [left + right])
@@ -137,7 +137,7 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
             command,
         ]
         return "\n".join(lines)
-    classes = f"{class_count(len(progress.classes))}, {_at_fault(progress)}"
+    classes = f"{class_count(len(progress.classes))}{_of_others(progress)}"
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}) in {classes}"
     lines += [hanging("", f"{failed}. {own}"), "Each failure is counted under its most severe type:"]
     width = max(12, *map(len, progress.violations))
@@ -155,13 +155,10 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
     return "\n".join(lines)
 
 
-def _at_fault(progress: Progress) -> str:
-    """Return the failures for which the driving system was at fault, in words."""
-    return f"{progress.at_fault} at fault in {class_count(_classes_at_fault(progress))}"
-
-
-def _classes_at_fault(progress: Progress) -> int:
-    return sum(one.at_fault > 0 for one in progress.classes.values())
+def _of_others(progress: Progress) -> str:
+    """Return how many failures were another vehicle's fault, in words. Of the others, `triage` tells it."""
+    count = progress.failed - progress.at_fault
+    return f", {count} of them by another vehicle's fault" if count else ""
 
 
 def _errors(progress: Progress, store: Store) -> list[str]:

@@ -111,7 +111,9 @@ def test_every_cell_is_run_and_everything_is_written(whole):
         assert int(row["R1_npc_caused"]) + int(row["R1_other"]) == int(row["failed_R1"])
         assert (row["r_BF"] != "") == (row["method"] == "BehAVExplor")
     assert "4 of 4 campaigns finished" in result.stdout
-    assert (folder / "out" / "tables.txt").read_text().strip() in result.stdout
+    assert "BehAVExplor against Uniform: not distinguishable in 1 of 1 scenarios." in result.stdout
+    assert f"All tables: {folder / 'out' / 'tables.txt'}" in result.stdout
+    assert max(map(len, result.stdout.replace(str(folder), "").splitlines())) <= 80
     assert f"Report: {folder / 'out' / 'report.html'}" in result.stdout
     assert "All 4 campaigns are finished." in (folder / "out" / "report.html").read_text()
     names = {path.name for path in (folder / "out" / "tables").iterdir()}
@@ -147,6 +149,13 @@ def test_what_is_finished_is_not_run_again_and_tables_are_the_same_files(whole):
     assert {path: path.stat().st_mtime_ns for path in times} == times
 
 
+def test_a_dry_run_checks_options(tmp_path, capsys):
+    methods = "{A: {method: behavexplor, options: {keeep: 1}}}"
+    (tmp_path / "one.yaml").write_text(f"name: one\nbudget: 5\nseeds: 1\nenvs: [lane-change]\nmethods: {methods}\n")
+    assert main(["bench", str(tmp_path / "one.yaml"), "--dry-run"]) == 2
+    assert "options of behavexplor 'keeep'" in capsys.readouterr().err
+
+
 def test_a_dry_run_says_how_much_is_left_and_makes_nothing(whole, tmp_path, capsys):
     folder, _ = whole
     command = ["bench", str(folder / "small.yaml"), "--unconfined", "--dry-run", "--out"]
@@ -155,6 +164,8 @@ def test_a_dry_run_says_how_much_is_left_and_makes_nothing(whole, tmp_path, caps
     assert "4 campaigns of 20 executions" in printed
     assert "0 finished; 80 executions left, about 0:" in printed
     assert not (tmp_path / "new").exists()
+    assert main(["status", str(folder / "out")]) == 2
+    assert "name one that it holds, such as " in capsys.readouterr().err
     assert main([*command, str(folder / "out")]) == 0
     assert "4 finished; 0 executions left, about 0:00" in capsys.readouterr().out
 
