@@ -136,7 +136,7 @@ def print_comparison(path: Path, base: str = "uniform") -> None:
             own = samples.setdefault((row["policy"], row["method"]), {name: [] for name in (*MEASURES, "cpu")})
             for name, values in own.items():
                 values.append(float(row[name]))
-    against = {key: samples[key[0], base] for key in samples if key[1] != base}
+    against = {key: samples[key[0], base] for key in samples if key[1] != base and (key[0], base) in samples}
     lines = {key: [f"{np.mean(own['cpu']):6.2f} s"] for key, own in samples.items()}
     shares = {policy: np.mean(own["failures"]) / BUDGET for (policy, method), own in samples.items() if method == base}
     rare = {policy for policy, share in shares.items() if RARE[0] <= share <= RARE[1]}

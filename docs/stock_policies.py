@@ -67,11 +67,11 @@ OTHERS = {  # on which `niching` was developed, beside those above
     "intersection-dqn": Training("intersection-v0", DQN, 60_000, {"collision_reward": -10}, _DQN, 16),
     "merge-ppo": Training("merge-v0", PPO, 60_000, {"collision_reward": -5}, _PPO, 17),
 }
-HELD_OUT = {  # trained after that, and compared in docs/niching.py; in light traffic, the intersection is seldom missed
+HELD_OUT = {  # trained after that, and compared in docs/niching.py
     "highway": Training("highway-fast-v0", DQN, 80_000, {"lanes_count": 3, "collision_reward": -2}, _DQN, 21),
     "merge": Training("merge-v0", A2C, 60_000, {"collision_reward": -4}, _A2C, 22),
-    "roundabout": Training("roundabout-v0", PPO, 50_000, {"duration": 13, "collision_reward": -2}, _PPO, 23),
-    "intersection": Training(
+    "roundabout": Training("roundabout-v0", PPO, 40_000, {"duration": 13}, _PPO, 27),
+    "intersection-often": Training(
         "intersection-v0",
         PPO,
         200_000,
@@ -79,8 +79,7 @@ HELD_OUT = {  # trained after that, and compared in docs/niching.py; in light tr
         _PPO,
         24,
     ),
-    "roundabout-a2c": Training("roundabout-v0", A2C, 60_000, {"collision_reward": -1}, _A2C, 25),
-    "intersection-ppo": Training("intersection-v0", PPO, 60_000, {"collision_reward": -5}, _PPO, 26),
+    "roundabout-often": Training("roundabout-v0", DQN, 40_000, {"duration": 13}, _DQN, 25),
 }
 SETS = {"own": TRAININGS, "others": OTHERS, "held-out": HELD_OUT}
 

@@ -213,7 +213,7 @@ def test_a_campaign_survives_any_number_of_kills(tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="the search for orphans reads /proc")
 def test_a_search_in_highway_env_does_not_depend_on_workers_or_kills(tmp_path):
-    campaign = ["--ads", "constant:IDLE", "--env", "merge-v0", "--budget", str(BUDGET), "--seed", "3"]
+    campaign = ["--ads", "constant:IDLE", "--env", "highway-fast-v0", "--budget", str(BUDGET), "--seed", "3"]
     campaign += ["--method", "niching"]
     whole, *others = [uninterrupted(tmp_path / f"whole-{workers}", workers, campaign)[0] for workers in (0, 1, 2)]
     assert others == [whole, whole]
