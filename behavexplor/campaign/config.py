@@ -193,8 +193,8 @@ def check_revision(config: CampaignConfig, what: str) -> None:
         )
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Read the keys and values in a YAML file.
+def read_yaml(path: Path, example: str = "env: intersection-straight") -> dict[str, Any]:
+    """Read the keys and values in a YAML file. `example` is one of them, for the message that there are none.
 
     Raises:
         InputError: if the file cannot be read, is too long, or holds no mapping.
@@ -210,7 +210,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if values is None:
         return {}
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
-        raise InputError(f"{path} must contain keys and values, such as `env: intersection-straight`")
+        raise InputError(f"{path} must contain keys and values, such as `{example}`")
     return values
 
 

@@ -114,9 +114,11 @@ def _check_schema(path: Path, connection: sqlite3.Connection, *, is_reader: bool
         for entry in _entries(connection):
             if entry not in _known_entries():
                 kind, name = entry[:2]
+                is_ours = name in {one[1] for one in _known_entries()}
+                mend = "restore it from a copy" if is_ours else f"if it is your own, drop the {kind}"
                 raise InputError(
                     f"{path} has the {kind} {name!r:.60}, which this version of behavexplor does not make so: it is "
-                    f"not opened, because that could change what is read and written; if it is your own, drop it"
+                    f"not opened, because that could change what is read and written; {mend}"
                 )
     except sqlite3.DatabaseError as error:
         if not is_reader or error.sqlite_errorcode & 0xFF not in UNREADABLE:

@@ -20,7 +20,7 @@ from behavexplor.campaign.config import CONFIG
 from behavexplor.campaign.database_file import LOCK, connect, lock_folder
 from behavexplor.campaign.progress import known_stages
 from behavexplor.campaign.record import DATABASE, FAILURES, Losses, Record
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.durable import check_no_file, folder_in, write_durably
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import parse_json
@@ -313,6 +313,7 @@ def check_free(folder: Path) -> None:
         InputError: if it cannot be read, or is not empty.
     """
     try:
+        check_no_file(folder)
         if folder.exists() and {path.name for path in folder.iterdir()} - _UNFINISHED:
             raise InputError(f"{folder} is not empty: resume the run in it, or choose another folder")
     except OSError as error:

@@ -224,6 +224,6 @@ def has_temporary_folder() -> bool:
 
 def _has_home() -> bool:
     try:
-        return os.access(Path.home(), os.W_OK)
+        return Path.home().is_dir() and os.access(Path.home(), os.W_OK)
     except RuntimeError:  # the user has no home
         return False

@@ -5,6 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from itertools import zip_longest
+from threading import Timer
 from typing import Self, TextIO
 
 from rich.live import Live
@@ -220,24 +221,31 @@ class Meter:
         shows_bar = self._console.is_terminal and not quiet
         self._bar = ProgressBar(*columns, console=self._console) if shows_bar else None
         self._task = self._bar.add_task("", total=total, things=printable(things)) if self._bar else None
+        self._waiting = Timer(LINE_SECONDS, self.show, [0])  # for those who wait for the first item
+        self._waiting.daemon = True
 
     def __enter__(self) -> Self:
         """Show the bar, if there is one."""
         if self._bar is not None:
             self._bar.start()
+        else:
+            self._waiting.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Stop the bar and leave its last state visible."""
+        self._waiting.cancel()
         if self._bar is not None:
             self._bar.stop()
 
     def show(self, done: int, text: str = "") -> None:
         """Show the number of finished items, followed by a text."""
+        self._waiting.cancel()
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, description=printable(text))
         elif time.monotonic() - self._last_line >= LINE_SECONDS:
             self._last_line = time.monotonic()
-            left = clock((self._total / done - 1) * (self._last_line - self._begin)) if done else "unknown time"
-            line = f"{done} of {self._total} {self._things}, about {left} left  {text}"
+            left = self._total / done - 1 if done else 0.0
+            about = f", about {clock(left * (self._last_line - self._begin))} left" if done else ""
+            line = f"{done} of {self._total} {self._things}{about}  {text}"
             self._console.print(line.rstrip(), soft_wrap=True)

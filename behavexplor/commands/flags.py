@@ -98,7 +98,7 @@ def settings(kind: type, names: str, **other: tuple[object, str]) -> Any:
             name=_SINGULAR.get(one.name, one.name),
             metavar=_METAVARS.get(one.name) or _METAVARS.get(types[one.name]),
             help_behavior_hint=shown,
-            help=f"{texts[one.name]}{more}",
+            help=f"{texts.get(one.name, '')}{more}",  # python -OO has no descriptions
         )
         parameters.append(Parameter(one.name, Parameter.KEYWORD_ONLY, annotation=_flag_type(types[one.name], what)))
     return tyro.conf.arg(name="", constructor=_taker(parameters))
@@ -117,13 +117,18 @@ def _taker(parameters: Sequence[Parameter]) -> Callable[..., dict[str, Any]]:
 
     def given(**values: Any) -> dict[str, Any]:
         found = {name: value for name, value in values.items() if value not in (None, ())}
-        return {name: read_yaml(value) if isinstance(value, Path) else value for name, value in found.items()}
+        return {name: read_env_config(value) if isinstance(value, Path) else value for name, value in found.items()}
 
     defaults = {one.name: () if get_origin(get_args(one.annotation)[0]) is tuple else None for one in parameters}
     shown = [one.replace(default=defaults[one.name]) for one in parameters]
     given.__signature__ = Signature(shown)  # type: ignore[attr-defined]
     given.__annotations__ = {**{one.name: one.annotation for one in shown}, "return": dict[str, Any]}
     return given
+
+
+def read_env_config(file: Path) -> dict[str, Any]:
+    """Read the YAML file that --env-config names; see `behavexplor.campaign.config.read_yaml`."""
+    return read_yaml(file, "lanes_count: 3")
 
 
 def described(kind: type) -> dict[str, str]:

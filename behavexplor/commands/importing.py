@@ -11,7 +11,7 @@ import tyro
 from behavexplor.campaign.judgment import ads_failure, judgment
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.export import check_libraries, road_of
-from behavexplor.commands.flags import Switch
+from behavexplor.commands.flags import GivenActivation, Switch
 from behavexplor.commands.outputs import write_json
 from behavexplor.commands.wording import say
 from behavexplor.data.logical import LogicalScenario
@@ -36,6 +36,7 @@ def importing(
     env: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the scene's own)")] = None,
     trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
     unconfined: Switch = False,
+    activation: GivenActivation = None,
 ) -> int:
     """Make a scenario from a scene that `export` wrote, even if it was changed by hand (docs/exchange.md).
 
@@ -48,6 +49,7 @@ def importing(
         env: Environment of the scene; needed if it belongs to another package.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
+        activation: Function between the layers of a policy whose file holds weights alone, as for fuzz.
     """
     check_libraries()
     from behavexplor.exchange.scene_reading import read_scene  # noqa: PLC0415 - needs the extra `scenes`
@@ -60,8 +62,8 @@ def importing(
     if out is not None:
         write_json(out, scenario.to_dict())
     if ads is not None:
-        target = _target(scenario, scene, ads)
-        return _execute(scenario, replace(target, trust=(trust,) if trust else (), unconfined=unconfined), logical)
+        how: dict[str, Any] = {"trust": (trust,) if trust else (), "unconfined": unconfined, "activation": activation}
+        return _execute(scenario, replace(_target(scenario, scene, ads), **how), logical)
     if out is None:
         say(scenario.to_json())
     return OK

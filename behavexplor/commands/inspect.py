@@ -20,9 +20,8 @@ from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.ads.sb3.inert import Inert, Name
 from behavexplor.ads.weights.layers import ActingNetwork, chosen, networks_in, reason_against, unused
 from behavexplor.ads.weights.tensors import TensorFile, read_tensors, tensors_in
-from behavexplor.campaign.config import read_yaml
 from behavexplor.commands import OK, program
-from behavexplor.commands.flags import GivenActivation, Trust
+from behavexplor.commands.flags import GivenActivation, Trust, read_env_config
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
 from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DECLARED
@@ -72,7 +71,7 @@ def inspect(
         json_file: Also write all of this to this JSON file; - is standard output.
     """
     output, found = check_outputs(json_file), contents_of(policy)
-    config = None if env_config is None else read_yaml(env_config)
+    config = None if env_config is None else read_env_config(env_config)
     with warnings.catch_warnings(), collected_notices():
         driving = _driving(policy, config, trust, activation)
     flags = f" --activation {activation}" if activation else ""

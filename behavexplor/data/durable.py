@@ -80,6 +80,7 @@ def folder_in(folder: Path, *names: str) -> Path:
     Raises:
         OSError: if it cannot be created, or is a symbolic link.
     """
+    check_no_file(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
         folder = folder / name
@@ -87,6 +88,17 @@ def folder_in(folder: Path, *names: str) -> Path:
             raise _leading_out(folder)
         folder.mkdir(exist_ok=True)
     return folder
+
+
+def check_no_file(folder: Path) -> None:
+    """Check that no file is in the place where a folder will be, or in that of one above it.
+
+    Raises:
+        OSError: if there is one.
+    """
+    file = next((one for one in (folder, *folder.parents) if one.exists() and not one.is_dir()), None)
+    if file is not None:
+        raise NotADirectoryError(errno.ENOTDIR, f"{file} is a file: name a folder", str(folder))
 
 
 def check_file(path: Path) -> None:

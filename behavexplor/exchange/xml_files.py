@@ -30,7 +30,7 @@ def read_xml(path: Path) -> Element:
     try:
         root = etree.fromstring(data, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise InputError(f"{path} is not an XML file: {error}") from None
+        raise InputError(f"{path} cannot be read as XML: {getattr(error, 'msg', error)}") from None
     if next(root.iter(etree.Entity), None) is not None:
         raise InputError(f"{path} has entities of its own, which are not read")
     return root

@@ -84,7 +84,10 @@ def serve(
     _send(connection, 0, READY + str(service.batch.capacity if service.batch else 1).encode())
     requests: queue.SimpleQueue[Request | None] = queue.SimpleQueue()
     Thread(target=_receive, args=(connection, requests), daemon=True).start()
-    _work(connection, requests, service)
+    try:
+        _work(connection, requests, service)
+    except KeyboardInterrupt:  # workers ignore the key, so an ADS has raised it: it is asked again, alone
+        os._exit(1)
 
 
 def _leave_pipes() -> None:

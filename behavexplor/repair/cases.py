@@ -15,7 +15,7 @@ from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.same_driver import driver_digests
 from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_scenario import DEFAULT, Traffic
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.durable import check_no_file, folder_in, write_durably
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.target import Activation, CheckedTarget
 from behavexplor.data.trace import Trace
@@ -189,12 +189,13 @@ def check_free(folder: Path) -> None:
         InputError: if the folder already has a file that a suite would have.
     """
     try:
+        check_no_file(folder)
         if (folder / SUITE).exists() or ((folder / CASES).is_dir() and any((folder / CASES).iterdir())):
             raise InputError(f"{folder} already has a suite: give another --out, or delete it")
         if (folder / TEST).exists():
             raise InputError(f"{folder} already has a {TEST}, which a suite would replace: give another --out")
     except OSError as error:
-        raise InputError(f"{folder} cannot be read: {error.strerror}") from None
+        raise InputError(f"{folder} cannot be used: {error.strerror}") from None
 
 
 def _check(path: Path, case: Case) -> None:

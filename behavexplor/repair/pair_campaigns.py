@@ -19,6 +19,7 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.simulation import fixed_logical_scenario
@@ -141,10 +142,14 @@ def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe,
     """Run one of the two campaigns, or go on with it, and return warnings about the driver.
 
     Raises:
-        InputError: if the driver or the environment cannot be used.
+        InputError: if the driver, the environment or the folder cannot be used.
         ExecutionError: if an execution could not be carried out.
     """
-    with opened(config, folder_in(folder.parent, folder.name), workers, resume=resume) as ready:
+    try:
+        place = folder_in(folder.parent, folder.name)
+    except OSError as error:
+        raise InputError(f"The folder {folder.parent} cannot be written: {error.strerror}") from None
+    with opened(config, place, workers, resume=resume) as ready:
         ready.campaign.run(lambda progress: observe(progress.executions))
         ready.campaign.confirm()
         return ready.warnings

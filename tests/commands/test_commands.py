@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import pty
 import re
 import shutil
 import signal
@@ -284,10 +285,10 @@ def test_workers_use_one_thread_each(tmp_path):
     assert result.returncode == 0, result.stderr
 
 
-def start(folder, *arguments):
-    """A campaign in the background, once it has stored something."""
+def start(folder, *arguments, under=()):
+    """A campaign in the background, once it has stored something; `under` another command."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "behavexplor", *FUZZ, "--budget", "400", "--out", str(folder), *arguments]
+    command = [*under, sys.executable, "-m", "behavexplor", *FUZZ, "--budget", "400", "--out", str(folder), *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and process.poll() is None:
@@ -322,6 +323,39 @@ def test_an_interruption_ends_cleanly_and_can_be_resumed(tmp_path, number, worke
     resumed = run("fuzz", "--resume", folder, "--workers", 0, "--budget", counted + 5)
     assert resumed.returncode == 0, resumed.stderr
     assert len(records(folder)) == counted + 5
+
+
+def test_under_nohup_a_campaign_outlives_its_terminal(tmp_path):
+    process = start(tmp_path / "a", "--workers", "1", under=["nohup"])
+    process.send_signal(signal.SIGHUP)
+    count = stored(tmp_path / "a")
+    while process.poll() is None and stored(tmp_path / "a") <= count:
+        time.sleep(0.05)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == 130
+
+
+def test_a_terminal_that_is_closed_ends_the_campaign_and_all_its_processes(tmp_path):
+    """Its process is the first one of a terminal, which sends SIGHUP to it when it is closed."""
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.environ["PYTHONPATH"] = str(ROOT)
+        command = ["-m", "behavexplor", *FUZZ, "--budget", "400", "--workers", "1", "--out", str(tmp_path / "a")]
+        os.execv(sys.executable, [sys.executable, *command])
+    deadline = time.monotonic() + 60
+    while stored(tmp_path / "a") < 10 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    descendants = _descendants(pid)
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == -signal.SIGHUP
+    while any(Path(f"/proc/{one}").exists() for one in descendants) and time.monotonic() < deadline + 15:
+        time.sleep(0.2)
+    assert not [one for one in descendants if Path(f"/proc/{one}").exists()]
+    count = stored(tmp_path / "a")
+    assert run("fuzz", "--resume", tmp_path / "a", "--workers", 0, "--budget", count + 5).returncode == 0
+    assert len(records(tmp_path / "a")) == count + 5
 
 
 @pytest.fixture(scope="module")

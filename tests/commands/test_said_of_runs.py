@@ -3,6 +3,7 @@
 import io
 import json
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -142,6 +143,18 @@ def test_no_text_commands_the_terminal_of_a_live_screen(monkeypatch):
 
 def test_no_heading_of_a_table_is_markup():
     assert SHOWN in table(HOSTILE, {HOSTILE: Evaluation(3, {HOSTILE: 1})})
+
+
+def test_a_meter_says_that_the_first_item_is_being_worked_on(monkeypatch):
+    monkeypatch.setattr("behavexplor.commands.display.LINE_SECONDS", 0.05)
+    stream = io.StringIO()
+    with Meter(stream, 1, "failures", quiet=False) as meter:
+        time.sleep(0.5)
+        assert stream.getvalue() == "0 of 1 failures\n"
+    with Meter(stream, 9, "failures", quiet=False) as meter:
+        meter.show(1)  # too early for a line
+        time.sleep(0.5)
+    assert stream.getvalue() == "0 of 1 failures\n"
 
 
 def test_a_meter_says_how_long_the_rest_will_take(monkeypatch):

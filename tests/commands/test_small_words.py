@@ -13,7 +13,7 @@ import gymnasium
 import pytest
 
 from behavexplor.campaign.config import campaign_config, stored_config
-from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
+from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, main
 from behavexplor.commands.check import result
 from behavexplor.commands.overview import COMMANDS
 from behavexplor.envs.making import environment_id
@@ -56,6 +56,63 @@ def test_files_are_looked_at_before_the_work(tmp_path, monkeypatch, capsys, comm
         assert main([*command, "--json", str(path)]) == BAD_INPUT
         assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run with a failure."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    flags = ["--ads", "constant:2,0.1", "--env", "lane-change", "--budget", "2", "--workers", "0", "--quiet"]
+    assert main(["fuzz", *flags, "--out", str(folder)]) == OK
+    return folder
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["fuzz", "--env", "lane-change"],
+        ["evaluate", "--env", "lane-change"],
+        ["compare", "idm", "idm", "--env", "lane-change"],
+        ["train", "--env", "lane-change"],
+        ["demo"],
+        ["suite", "RUN"],
+        ["export", "RUN"],
+        ["replay", "RUN", "0"],
+        ["bench", "quick"],
+    ],
+)
+@pytest.mark.parametrize("place", ["file", "file/in/it"])
+def test_a_file_where_a_folder_is_meant_is_named(tmp_path, finished, command, place, capsys):
+    (tmp_path / "file").write_text("kept")
+    words = [str(finished) if word == "RUN" else word for word in command]
+    assert main([*words, "--out", str(tmp_path / place)]) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'file'} is a file: name a folder" in said
+    assert "Errno" not in said
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_a_list_where_a_configuration_is_meant_is_named(tmp_path, capsys):
+    (tmp_path / "env.yaml").write_text("- lanes_count: 3\n")
+    for command in (["fuzz"], ["inspect", "learned:lane-change"]):
+        assert main([*command, "--env-config", str(tmp_path / "env.yaml")]) == BAD_INPUT
+        assert "env.yaml must contain keys and values, such as `lanes_count: 3`" in capsys.readouterr().err
+
+
+def test_without_docstrings_commands_run_and_have_no_help(tmp_path):
+    told = subprocess.run(
+        [sys.executable, "-OO", "-m", "behavexplor", "fuzz", "--help"], capture_output=True, text=True, check=False
+    )
+    assert told.returncode == OK, told.stderr
+    assert "--budget N|TIME" in told.stdout
+
+
+def test_a_driver_that_raises_a_ctrl_c_leaves_no_traceback(tmp_path, capfd):
+    flags = ["--budget", "2", "--workers", "1", "--out", str(tmp_path / "run")]
+    assert main(["fuzz", "--ads", "tests.faults:Interrupting", *flags]) == EXECUTION_FAILED
+    said = capfd.readouterr()
+    assert "KeyboardInterrupt" in said.out
+    assert "Traceback" not in said.err
 
 
 def test_results_are_shown_before_their_files_are_written(tmp_path, monkeypatch, capsys):

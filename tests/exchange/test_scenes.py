@@ -447,7 +447,7 @@ def test_a_scene_does_not_choose_which_code_is_loaded(exported, capsys):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is not an XML file"),
+        ("", "cannot be read as XML"),
         ("<OpenDRIVE/>", "is an OpenDRIVE road, and not a scene of behavexplor's environments"),
         ("<OpenSCENARIO><FileHeader/><Catalog/></OpenSCENARIO>", "is an OpenSCENARIO catalog, and not a scene"),
         (
