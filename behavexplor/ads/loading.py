@@ -47,10 +47,12 @@ def check_name(name: str) -> None:
     Raises:
         InputError: if the name is neither a system of this package, nor a file, nor "module:attribute".
     """
-    system, separator, _ = name.partition(":")
+    system, separator, variant = name.partition(":")
     module = name.removesuffix(".py")
     if system not in SYSTEMS and not separator and Path(f"{module}.py").is_file():
         raise InputError(f"{name!r} is a Python module: name the driver in it, such as {module}:MyDriver")
+    if system.endswith(".py") and separator and Path(system).is_file():
+        raise InputError(f"{name!r} names a file: in the folder of {system}, write {Path(system).stem}:{variant}")
     if not (separator or Path(name).exists()) and Path(f"{name}.zip").is_file():
         raise InputError(f"There is no file {name}: did you mean {name}.zip?")
     if name.endswith((".zip", ".npz", *WEIGHTS)) and not Path(name).exists():

@@ -94,11 +94,12 @@ def check_no_file(folder: Path) -> None:
     """Check that no file is in the place where a folder will be, or in that of one above it.
 
     Raises:
-        OSError: if there is one.
+        OSError: if there is one, or a link that leads to nothing.
     """
-    file = next((one for one in (folder, *folder.parents) if one.exists() and not one.is_dir()), None)
+    file = next((one for one in (folder, *folder.parents) if os.path.lexists(one) and not one.is_dir()), None)
     if file is not None:
-        raise NotADirectoryError(errno.ENOTDIR, f"{file} is a file: name a folder", str(folder))
+        kind = "a file" if file.exists() else "a symbolic link to nothing"
+        raise NotADirectoryError(errno.ENOTDIR, f"{file} is {kind}: name a folder", str(folder))
 
 
 def check_file(path: Path) -> None:

@@ -18,7 +18,7 @@ from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
 from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
-from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, OWN, describe, find_model
+from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, OWN, WEIGHTS, describe, find_model
 from behavexplor.data.durable import new_file, write_durably
 from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.target import Target
@@ -91,11 +91,13 @@ def given_file(policy: str) -> Path:
     """Return the file of a policy: a network of `train`, or a model of Stable-Baselines3.
 
     Raises:
-        InputError: if there is no such file.
+        InputError: if there is no such file, or it cannot learn.
     """
     path = policy_file(policy)
     if not path.exists():
         raise InputError(f"There is no policy {path}")
+    if path.suffix in WEIGHTS:
+        raise InputError(f"{path} holds weights alone, without what trained them: retrain a model.zip or a policy.npz")
     return path if path.suffix == ".npz" else find_model(path)
 
 

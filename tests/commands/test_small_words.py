@@ -92,6 +92,18 @@ def test_a_file_where_a_folder_is_meant_is_named(tmp_path, finished, command, pl
     assert (tmp_path / "file").read_text() == "kept"
 
 
+def test_a_link_to_nothing_where_a_folder_is_meant_is_named(tmp_path, capsys):
+    (tmp_path / "link").symlink_to(tmp_path / "gone")
+    assert main(["fuzz", "--env", "lane-change", "--out", str(tmp_path / "link")]) == BAD_INPUT
+    assert "link is a symbolic link to nothing: name a folder" in capsys.readouterr().err
+
+
+def test_weights_alone_are_not_trained_further(tmp_path, capsys):
+    (tmp_path / "weights.pth").touch()
+    assert main(["retrain", str(tmp_path / "weights.pth"), "--env", "highway-fast-v0"]) == BAD_INPUT
+    assert "weights.pth holds weights alone, without what trained them: retrain" in capsys.readouterr().err
+
+
 def test_a_list_where_a_configuration_is_meant_is_named(tmp_path, capsys):
     (tmp_path / "env.yaml").write_text("- lanes_count: 3\n")
     for command in (["fuzz"], ["inspect", "learned:lane-change"]):

@@ -223,9 +223,10 @@ def test_code_of_another_python_is_named_before_it_runs(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:  # as if the class stood in a notebook, so that it is in the file
         patch.setattr(Small, "__module__", "__main__")
         trained_small(tmp_path / "model.zip")
-    system = b"- OS: x\n- Python: 3.8.10\n- Stable-Baselines3: 2.0.0\n"
+    system = b"- OS: x\n- Python: 3.8.10\n- Stable-Baselines3: 1.8.0\n- Gym: 0.21.0\n"
     rewritten(tmp_path / "model.zip", tmp_path / "old.zip", system_info_txt=system)
     archive = read_archive(tmp_path / "old.zip")
+    assert archive.versions == ("Python 3.8.10", "Stable-Baselines3 1.8.0", "Gym 0.21.0")
     with pytest.raises(InputError, match=r"needs the class 'Small' of its own\. If you trust"):
         load_policy(tmp_path / "old.zip")
     with pytest.raises(InputError, match=r"contains the class 'Small' of its own as code of Python 3\.8"):
