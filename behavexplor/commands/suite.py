@@ -67,8 +67,8 @@ def suite(
     ).write(out)
     folder = shlex.quote(str(out))
     say(f"{counted(len(cases), 'scenario')}, one for each class of failures, in {folder}")
-    say(f"Check a driver with: {program()} check {folder} --ads NAME")
-    say(f"The same as tests: ADS=NAME pytest {folder}/{TEST}")
+    say(f"Check a driver with:\n{program()} check {folder} --ads NAME")
+    say(f"The same as tests:\nADS=NAME pytest {folder}/{TEST}")
     return OK
 
 

@@ -163,7 +163,7 @@ def test_search_methods_are_compared_in_a_stock_environment(tmp_path, capsys):
     file = tmp_path / "merge.yaml"
     file.write_text(yaml.safe_dump(experiment))
     assert main(["bench", str(file), "--out", str(tmp_path / "out"), "--quiet"]) == 0
-    assert "Number of failures at fault" in capsys.readouterr().out
+    assert "Number of classes of failures at fault" in capsys.readouterr().out
     config = yaml.safe_load((tmp_path / "out/runs/merge-v0/constant-IDLE/Uniform/1/config.yaml").read_text())
     assert (config["traffic"], config["confirm"]) == ("wide", False)
 
