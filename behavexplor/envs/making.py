@@ -281,5 +281,6 @@ def make_registered(name: str, config: Mapping[str, Any], render_mode: str | Non
         hint = "" if module else f" (if another package registers it, name the module that does, as in module:{own})"
         raise InputError(f"The environment {name!r} cannot be made: {error}{hint}") from error
     except Exception as error:  # gymnasium's other errors, and any error of the environment's package
-        raise InputError(f"The environment {name!r} cannot be made: {type(error).__name__}: {error}") from error
+        reason = str(error).partition(" was raised from the environment creator")[0]  # gymnasium repeats all arguments
+        raise InputError(f"The environment {name!r} cannot be made: {type(error).__name__}: {reason}") from error
     return made

@@ -104,6 +104,10 @@ def test_an_environment_that_is_not_compiled_is_said_to_be_slow():
 def test_a_configuration_that_cannot_be_used_is_named():
     with pytest.raises(InputError, match="The environment 'merge-v0' cannot be made"):
         Simulation("merge-v0", "constant:IDLE", env_config={"other_vehicles_type": "no.such.Vehicle"})
+    with pytest.raises(
+        InputError, match="cannot be made: TypeError: 'float' object cannot be interpreted as an integer$"
+    ):
+        Simulation("highway-fast-v0", "constant:IDLE", env_config={"lanes_count": float("nan")})
 
 
 def test_an_unknown_key_of_the_configuration_is_named_and_ignored():
