@@ -19,8 +19,8 @@ from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief, unknown_name
 
 CONFIG = "config.yaml"  # file in a run folder
-REVISION: Final = 4  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ. 4: niches
-# tell maneuvers apart, and a fifth of the scenarios of `niching` is uniform.
+REVISION: Final = 3  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ. 3: the
+# records of failures in highway-env's environments are the compiled engine's, and its vehicles are whole blocks.
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
 RUNS: Final = Path("runs")  # their parent folder
 LATEST: Final = "latest"  # in it, a link to the run that began or went on last
