@@ -78,17 +78,18 @@ def test_the_picture_of_the_house_is_the_listing():
     assert len(modules) <= 6
 
 
-def test_the_picture_of_the_environments_is_the_listing():
-    block = (ROOT / "CONTRIBUTING.md").read_text().partition("```\nenvs/\n")[2].partition("```")[0]
+@pytest.mark.parametrize("room", ["envs", "ads"])
+def test_the_picture_of_a_room_is_the_listing(room):
+    block = (ROOT / "CONTRIBUTING.md").read_text().partition(f"```\n{room}/\n")[2].partition("```")[0]
     folder, named = "", []
     for line in block.splitlines():
         names = re.findall(r"\S+(?:\.py|/)(?= |$)", line)
         if line.startswith("  ") and not line.startswith("    "):
             folder = names[0] if names[0].endswith("/") else ""
         named += [folder + name for name in names if name.endswith(".py")]
-    envs = ROOT / "behavexplor" / "envs"
-    patterns = [path.relative_to(envs).as_posix() for name in named for path in envs.glob(name)]
-    there = [path.relative_to(envs).as_posix() for path in envs.rglob("*.py") if path.stem != "__init__"]
+    root = ROOT / "behavexplor" / room
+    patterns = [path.relative_to(root).as_posix() for name in named for path in root.glob(name)]
+    there = [path.relative_to(root).as_posix() for path in root.rglob("*.py") if path.stem != "__init__"]
     assert sorted(patterns) == sorted(there)
 
 

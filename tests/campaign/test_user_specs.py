@@ -185,7 +185,8 @@ def test_the_tables_of_an_experiment_have_a_column_for_it(tmp_path, capsys):
     }
     (tmp_path / "own.yaml").write_text(json.dumps(experiment))
     assert main(["bench", str(tmp_path / "own.yaml"), "--out", str(tmp_path / "out"), "--jobs", "1", "--quiet"]) == OK
-    assert "keeps_below_9" in capsys.readouterr().out
+    assert "All tables" in capsys.readouterr().out
+    assert "keeps_below_9" in (tmp_path / "out" / "tables.txt").read_text()
     with (tmp_path / "out" / "summaries.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert sum(int(row["failed_keeps_below_9"]) for row in rows) > 0
