@@ -25,7 +25,7 @@ def confined(code, tmp_path):
     own.mkdir()
     victim.write_text("untouched")
     begin = f"""
-        import ctypes, errno, fcntl, os, socket, sys, tempfile, termios, threading
+        import ctypes, errno, fcntl, os, resource, socket, sys, tempfile, termios, threading
         from pathlib import Path
         tempfile.tempdir, victim = {str(own)!r}, Path({str(victim)!r})
         from behavexplor.execution.confinement import confine
@@ -63,6 +63,18 @@ def confined(code, tmp_path):
         "socket.socket(socket.AF_INET, socket.SOCK_DGRAM)",
         "socket.socket(socket.AF_INET6)",
         "socket.socket(socket.AF_UNIX)",
+        "socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)",
+        "victim.chmod(0o777)",
+        "os.chmod(os.open(victim, os.O_RDONLY), 0o777)",
+        "os.chown(victim, 0, 0)",
+        "os.utime(victim)",
+        "os.setxattr(victim, 'user.x', b'')",
+        "os.removexattr(victim, 'user.x')",
+        "ctypes.CDLL(None).syscall(452, -100, str(victim).encode(), 0o777, 0) + 1 or os.chmod(victim, 0o777)",
+        "resource.prlimit(os.getppid(), resource.RLIMIT_CPU, (9, 9))",
+        "os.setpriority(os.PRIO_PROCESS, os.getppid(), 19)",
+        "os.sched_setaffinity(os.getppid(), {0})",
+        "os.sched_setscheduler(os.getppid(), os.SCHED_BATCH, os.sched_param(0))",
         "open('/dev/tty')",
         "open('/dev/tty', 'w')",
         "open('/dev/ptmx')",
@@ -106,11 +118,12 @@ def test_it_may_read_compute_and_have_temporary_files(tmp_path):
         print(victim.read_text())
         print(outcome(lambda: tempfile.NamedTemporaryFile("w").write("x")))
         print(outcome(lambda: open(os.devnull, "w").write("x")))
+        print(outcome(socket.socketpair), outcome(lambda: os.sched_setaffinity(0, os.sched_getaffinity(0))))
         print(outcome(lambda: open("/dev/urandom", "rb").read(1)), outcome(lambda: open("/proc/self/stat").read()))
         import numpy
         print((numpy.ones((300, 300)) @ numpy.ones((300, 300))).sum())
     """
-    assert confined(code, tmp_path) == ["untouched", *["done"] * 4, "27000000.0"]
+    assert confined(code, tmp_path) == ["untouched", *["done"] * 6, "27000000.0"]
 
 
 FRESH = "from behavexplor.jit import kernel\n\n\n@kernel\ndef doubled(x):\n    return x + x\n"
