@@ -26,7 +26,7 @@ from behavexplor.bench.table import (
 )
 from behavexplor.data.csv_text import csv_text
 
-_at_fault: Final[tuple[str, str, Figure]] = ("at-fault", "failures at fault", Summary.at_fault)
+_AT_FAULT: Final[tuple[str, str, Figure]] = ("at-fault", "failures at fault", Summary.at_fault)
 UNDECIDED: Final = "undecided"
 _TOLD: Final = (
     "Means of the campaigns, also of the method that names a column. A12: probability that a campaign of the first "
@@ -52,7 +52,7 @@ def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Ta
 
 def compared_figures(summaries: Sequence[Summary]) -> list[tuple[str, str, Figure]]:
     """Return the figures in which methods are compared: their keys, their names, and the figures."""
-    figures = [_at_fault]
+    figures = [_AT_FAULT]
     if all_classified(summaries):
         figures.append(("at-fault-classes", "classes of failures at fault", n_kinds_at_fault))
         figures.append(("unique", "unique violations", unique(None)))
@@ -100,7 +100,7 @@ def headline(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table
     """
     named = {name: pairs for name, _, pairs in families(experiment)}
     pairs = named[experiment.baseline or experiment.compared]
-    _, words, figure = next((one for one in compared_figures(summaries) if one[0] == "at-fault-classes"), _at_fault)
+    _, words, figure = next((one for one in compared_figures(summaries) if one[0] == "at-fault-classes"), _AT_FAULT)
     found = samples(experiment, summaries, pairs, figure)
     if not found:
         return []

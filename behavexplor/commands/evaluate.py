@@ -24,7 +24,7 @@ from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
-from behavexplor.commands.wording import hanging, say
+from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
@@ -125,7 +125,8 @@ def _say_rates(
         say(_gap(own, found[DRAWN]), file=output)
     if own.counts.get(ERROR):
         kept = "the run of the failures has its messages" if folder else "--out FOLDER keeps them with its messages"
-        say(f"In {own.counts[ERROR]} scenarios the driver itself failed (error): {kept}.", file=output)
+        scenarios = counted(own.counts[ERROR], "scenario")
+        say(hanging("", f"In {scenarios} the driver itself failed (error): {kept}."), file=output)
     if own.decision is not None:
         say(hanging("", f"{own.decision.words}, {CLAUSE.format(config.env)}"), file=output)
     if folder is not None:

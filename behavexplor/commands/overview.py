@@ -58,7 +58,7 @@ def overview(program: str) -> str:
 
 @contextmanager
 def changed_output(change: Callable[[str], str]) -> Iterator[None]:
-    """Print what is printed meanwhile in the end, and changed."""
+    """Hold back what is printed, and print it changed at the end."""
     held = TextIOWrapper(BytesIO(), getattr(sys.stdout, "encoding", None) or "utf-8", newline="\n")
     try:
         with redirect_stdout(held):
@@ -85,7 +85,7 @@ def with_names(script: str, names: Mapping[str, Sequence[str]]) -> str:
     for flag, known in names.items():
         script = re.sub(rf"(\['{flag}'\], .*?'type': )'path'", rf"\1'choice', 'choices': {list(known)}", script)
     script = script.replace("    return completions\n\n", "    return completions or ['__TYRO_COMPLETE_FILES__']\n\n")
-    return script.replace("complete -F ", "complete -o default -F ")  # bash falls back on files, whatever came before
+    return script.replace("complete -F ", "complete -o default -F ")  # otherwise bash offers no files
 
 
 def with_joined_lines(command: Callable[..., Any]) -> Callable[..., Any]:

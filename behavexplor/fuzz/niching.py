@@ -66,7 +66,7 @@ class Niching:
         self._drawn, self._drawn_failed = 0, 0  # uniform scenarios that have been executed
 
     def ask(self) -> Candidate:
-        """Return uniform scenarios at first, then children and uniform ones, as many as fail or more."""
+        """Return uniform scenarios at first, then children and a share of uniform ones."""
         rng = self._asker.draws()
         is_early = self._asker.asked < self._options.initial or not self._parents
         if is_early or rng.random() < self._uniform_share():

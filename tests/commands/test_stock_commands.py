@@ -39,7 +39,7 @@ def test_replay_says_what_the_driver_decided(run, tmp_path, capsys):
     assert main(["replay", str(run), str(execution.id), "--out", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert f"The driver's decisions: {len(execution.load_trace().action_frame)} x FASTER" in text
-    assert "lines" not in text  # nobody is asked to stay on the road there
+    assert "lines" not in text  # merge-v0 has neither requirement
     assert "destination" not in text
 
 
