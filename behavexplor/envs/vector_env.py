@@ -82,7 +82,8 @@ class DrivingVectorEnv(LockStepVectorEnv):
         self._observations = self._episodes.observations
         self.scenarios: list[ScriptedScenario] = [ScriptedScenario(self.logical.name, ())] * num_envs
         self._generators: list[np.random.Generator | None] = [None] * num_envs
-        self._terms: Floats | None = None
+        self._terms: Floats | None = None  # of the latest decision
+        self._n_ended = 0  # episodes, with the latest decision
         self.gives_rewards = self.checks_actions = True
         self.short_traces = False
 
@@ -94,22 +95,23 @@ class DrivingVectorEnv(LockStepVectorEnv):
         if self.checks_actions:
             check_actions(self.action_space, actions)
         stepped = self._episodes.ends == RUNNING
-        terminated, truncated = self._episodes.decide(actions, stepped)
+        (terminated, truncated), self._n_ended = self._episodes.decide(actions, stepped)
         self._episodes.observe(stepped)
         self._terms = self._episodes.terms(stepped) if self.gives_rewards else None
         rewards = sum(() if self._terms is None else self._terms, np.zeros(self.num_envs))
-        return rewards, terminated, truncated, stepped, int(np.count_nonzero(terminated | truncated))
+        return rewards, terminated, truncated, stepped, self._n_ended
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> None:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
         begun: dict[int, ScriptedScenario] = {}
-        for b in np.flatnonzero(mask).tolist():
+        chosen = np.flatnonzero(mask)
+        for b in chosen.tolist():
             scenario = scenarios[b] if scenarios else None
             if scenario is None:
                 generator = self._generators[b] = self._generators[b] or seeding.np_random()[0]
                 scenario = self.logical.sample(generator)
             begun[b] = scenario
-        self._episodes.begin(np.flatnonzero(mask), begun.values())
+        self._episodes.begin(chosen, begun.values())
         for b, scenario in begun.items():
             self.scenarios[b] = scenario
         self._episodes.observe(mask)
@@ -120,8 +122,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
             speeds, terms = np.where(stepped, self._episodes.speeds, 0.0), np.where(stepped, self._terms, 0.0)
             rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, stepped)
             infos = {"speed": speeds, "_speed": stepped, "rewards": rewards, "_rewards": stepped}
-        done = stepped & (self._episodes.ends != RUNNING)
-        if np.count_nonzero(done):
+        if self._n_ended and (done := stepped & (self._episodes.ends != RUNNING)).any():
             ends, traces = np.full((2, self.num_envs), None, dtype=object)
             for b in done.nonzero()[0].tolist():
                 ends[b] = ENDS[self._episodes.ends[b]]

@@ -57,11 +57,12 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
         given, seeds = self._given(options, mask), chosen_seeds(seed, self.num_envs)
         if isinstance(seed, int | np.integer):
             super().reset(seed=seeds[0])
-        for b in np.flatnonzero(mask).tolist():
+        chosen = np.flatnonzero(mask).tolist()
+        for b in chosen:
             self._seed(b, seeds[b])
         self._guard.check(always=bool(mask.all()))
         self._begin(mask, *given)
-        self._idle -= set(np.flatnonzero(mask).tolist())
+        self._idle.difference_update(chosen)
         return self._observations.copy(), self._infos(np.zeros(self.num_envs, dtype=bool), mask.copy())
 
     def step(self, actions: Array) -> tuple[Array, Floats, Bools, Bools, dict[str, Any]]:

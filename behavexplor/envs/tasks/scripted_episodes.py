@@ -70,10 +70,11 @@ class ScriptedEpisodes:
         if not self._begin_slots(self.world, self.slots, chosen, *npcs):
             raise InputError(f"A scenario has more than {self.slots.scripts.shape[1]} NPCs, for which there is room")
 
-    def decide(self, actions: Array, active: Bools, n_frames: int = WHOLE) -> Bools:
-        """Simulate one decision in each active slot; return whether each has ended, and been truncated, (2, n_slots).
+    def decide(self, actions: Array, active: Bools, n_frames: int = WHOLE) -> tuple[Bools, int]:
+        """Simulate one decision in each active slot.
 
-        At most `n_frames` frames are simulated; see `behavexplor.envs.tasks.scripted_step.step`.
+        Return whether each episode is terminated and truncated, shape (2, n_slots), and how many have ended now. At
+        most `n_frames` frames are simulated; see `behavexplor.envs.tasks.scripted_step.step`.
 
         Raises:
             InputError: if the record of an episode has no room for it.
@@ -83,7 +84,7 @@ class ScriptedEpisodes:
         ended = self._step_slots(self.world, self.slots, values, self._commands(actions), active, ends, n_frames)
         if ended < 0:
             raise InputError("An episode is longer than its record has room for: make the environment again")
-        return ends
+        return ends, ended
 
     def observe(self, chosen: Bools) -> None:
         """Renew the observations of the chosen slots, shape (n_slots,)."""
@@ -98,7 +99,7 @@ class ScriptedEpisodes:
         runs, n_vehicles = self.slots.runs, int(self.slots.state.episodes["n_vehicles"][b])
         frames, traits = int(runs["frame"][b]) + 1, self.slots.state.traits[b, :n_vehicles]
         decisions, sizes = np.arange(0, frames - 1, self._substeps), np.empty((n_vehicles, 2))
-        skipped = int(np.searchsorted(decisions, first))
+        skipped = -(-first // self._substeps)  # decisions before that frame
         sizes[:, 0], sizes[:, 1] = traits["length"], traits["width"]
         motion = np.empty((frames - first, n_vehicles - 1, N_COLUMNS))
         self._fill_table(*self._motion_of(b), self._time[first:frames], motion)
