@@ -2,6 +2,8 @@
 
 import logging
 from collections.abc import Mapping
+from functools import reduce
+from operator import add
 from typing import Any
 
 import gymnasium
@@ -328,7 +330,7 @@ class DrivingEnv(PlainSimulation):
         return self._terms
 
     def _reward(self, action: Any) -> float:
-        return sum(self._rewards(action).values())
+        return reduce(add, self._rewards(action).values())  # `sum` makes up for rounding since Python 3.12
 
     def _is_terminated(self) -> bool:
         return self._end in TERMINAL

@@ -184,7 +184,7 @@ def _judge(world: World, task: Task, scene: Scene, choice: int, numbers: Floats,
     episode, rules, ego = scene.episode, task.rules[0], scene.vehicles[scene.episode.ego]
     changes_lane = choice in (0, 2)  # highway-env looks at the number alone, also if it means another action
     put_terms(world, rules, task.terms, scene, changes_lane, numbers[FIRST_TERM:])
-    numbers[REWARD], numbers[SPEED] = reward_of(rules, task.terms, numbers[FIRST_TERM:]), ego.speed
+    numbers[REWARD], numbers[SPEED] = reward_of(world, rules, task.terms, scene, numbers[FIRST_TERM:]), ego.speed
     for k in range(MOST_TERMS):
         flags[FIRST_FLAG + k] = numbers[FIRST_TERM + k] != 0.0
     is_late = episode.time >= rules.duration or episode.n_decisions >= rules.most_decisions
@@ -203,7 +203,7 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chos
         numbers[SPEED:, beside] = flags[CRASHED:, beside] = actions[beside] = 0
     rewards: dict[str, Any] = {}
     for k, (name, mask_name, wanted) in enumerate(kind.named_terms):
-        if wanted is float:
+        if issubclass(wanted, float):  # also of numpy
             rewards[name] = numbers[FIRST_TERM + k]
         elif wanted is int:
             rewards[name] = numbers[FIRST_TERM + k].astype(int)

@@ -40,7 +40,7 @@ KIND = TaskKind(
         {
             "collision_reward": (CRASHED, bool),
             "goal_reward": (GOAL_LANE, bool),
-            "high_speed_reward": (SPEED, float),
+            "high_speed_reward": (SPEED, np.float64),
             "right_lane_reward": (TARGET_LANE_NUMBER, int),
         }
     ),

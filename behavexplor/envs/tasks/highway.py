@@ -42,8 +42,8 @@ KIND = TaskKind(
     terms=MappingProxyType(
         {
             "collision_reward": (CRASHED, float),
-            "right_lane_reward": (TARGET_LANE, float),
-            "high_speed_reward": (SPEED_AHEAD, float),
+            "right_lane_reward": (TARGET_LANE, np.float64),
+            "high_speed_reward": (SPEED_AHEAD, np.float64),
             "on_road_reward": (ON_ROAD, float),
         }
     ),

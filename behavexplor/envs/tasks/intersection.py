@@ -46,7 +46,7 @@ KIND = TaskKind(
     terms=MappingProxyType(
         {
             "collision_reward": (CRASHED, float),
-            "high_speed_reward": (SPEED, float),
+            "high_speed_reward": (SPEED, np.float64),
             "arrived_reward": (ARRIVED, float),
             "on_road_reward": (ON_ROAD, float),
         }

@@ -1,5 +1,6 @@
 """Rewards and ends: the terms of which highway-env's `_rewards` consist, `_reward`, and `_is_terminated`."""
 
+import sys
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from behavexplor.envs.engine.lane_geometry import is_on_road, lane_coordinates
 from behavexplor.envs.engine.lane_keeping import clip, nearest_speed
 from behavexplor.envs.engine.state import MDP, NO_LANE, PLAIN, Records, Scene
 from behavexplor.envs.engine.world import World
-from behavexplor.envs.tasks.task import NO_TERM
+from behavexplor.envs.tasks.task import FLOAT, INTEGER, NO_TERM, NUMPY
 from behavexplor.jit import kernel_inner
 
 Vehicle = np.record
@@ -32,6 +33,7 @@ ON_ROAD: Final = 13  # whether it is on the road
 ARRIVED: Final = 14  # whether it has arrived
 LANE_CHANGE: Final = 15  # whether highway-env takes the action for a change of lane
 
+_COMPENSATES: Final = sys.version_info >= (3, 12)  # whether `sum` of Python makes up for rounding
 _DEFAULT_SPEEDS: Floats = MDPVehicle.DEFAULT_TARGET_SPEEDS.astype(np.float64)
 
 
@@ -92,20 +94,22 @@ def _is_so(world: World, rules: Any, code: int, scene: Scene, changes_lane: bool
 
 @kernel_inner
 def _slowness_on_goal(world: World, scene: Scene) -> float:
-    total = 0.0
+    total, lost, kind = 0.0, 0.0, INTEGER
     for i in range(scene.episode.n_vehicles):
         vehicle = scene.vehicles[i]
         if world.network.lanes[vehicle.lane].is_goal and scene.traits[i].kind != PLAIN:
-            total += (vehicle.target_speed - vehicle.speed) / vehicle.target_speed
-    return total
+            share = (vehicle.target_speed - vehicle.speed) / vehicle.target_speed
+            total, lost, kind = plus(total, lost, kind, share, NUMPY if scene.traits[i].kind == MDP else FLOAT)
+    return total + lost
 
 
 @kernel_inner
-def reward_of(rules: Any, terms: Records, values: Floats) -> float:
+def reward_of(world: World, rules: Any, terms: Records, scene: Scene, values: Floats) -> float:
     """Compute the reward from the values of its terms."""
-    reward = 0.0
+    reward, lost, kind = 0.0, 0.0, INTEGER
     for k in range(len(terms)):
-        reward += terms[k].weight * values[k]
+        reward, lost, kind = plus(reward, lost, kind, terms[k].weight * values[k], _number_of(world, terms[k], scene))
+    reward += lost
     if rules.arrival != NO_TERM and values[rules.arrival] != 0.0:
         reward = rules.arrived_reward
     if rules.first_gate != NO_TERM:
@@ -117,6 +121,28 @@ def reward_of(rules: Any, terms: Records, values: Floats) -> float:
     if rules.gate != NO_TERM:
         reward *= values[rules.gate]
     return reward
+
+
+@kernel_inner
+def _number_of(world: World, term: Any, scene: Scene) -> int:
+    """Return what kind of number a weighted term is in highway-env, where target speeds of the ego are numpy's."""
+    ego = scene.episode.ego
+    is_mdp_on_goal = scene.traits[ego].kind == MDP and world.network.lanes[scene.vehicles[ego].lane].is_goal
+    return NUMPY if term.code == SLOW_ON_GOAL and is_mdp_on_goal else int(term.number)
+
+
+@kernel_inner
+def plus(total: float, lost: float, kind: int, item: float, kind_of_item: int) -> tuple[float, float, int]:
+    """Add an item as Python's `sum` does, and return the sum, what rounding has lost of it, and its kind of number.
+
+    Since Python 3.12, the loss is made up for at the end, or where a number of numpy follows floats of Python.
+    """
+    if _COMPENSATES and kind == FLOAT and kind_of_item == FLOAT:
+        rounded = total + item
+        lost += (total - rounded) + item if abs(total) >= abs(item) else (item - rounded) + total
+    elif kind_of_item == NUMPY:
+        total, lost = total + lost, 0.0
+    return total + item, lost, max(kind, kind_of_item)
 
 
 @kernel_inner

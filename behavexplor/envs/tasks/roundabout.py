@@ -29,7 +29,7 @@ KIND = TaskKind(
     terms=MappingProxyType(
         {
             "collision_reward": (CRASHED, bool),
-            "high_speed_reward": (DEFAULT_SPEED_CHOICE, float),
+            "high_speed_reward": (DEFAULT_SPEED_CHOICE, np.float64),
             "lane_change_reward": (LANE_CHANGE, bool),
             "on_road_reward": (ON_ROAD, np.bool_),
         }

@@ -21,10 +21,14 @@ Config: TypeAlias = Mapping[str, Any]
 
 DRAWN: Final = -1  # a lane or destination that is drawn at each reset
 NO_TERM: Final = -1
+INTEGER: Final = 0  # a number of Python; of two kinds of numbers, the greater one prevails in their sum
+FLOAT: Final = 1  # another one of Python
+NUMPY: Final = 2  # a number of numpy
 
 TERM: Final = record_type(
     code=np.int64,  # what it is; see `behavexplor.envs.tasks.reward_terms`
     weight=np.float64,
+    number=np.int64,  # what kind of number the weighted term is in highway-env; see `kind_of_number`
 )
 TASK: Final = record_type(
     number=np.int64,  # of the kind of task; see `behavexplor.envs.tasks.highway_tasks`
@@ -158,8 +162,19 @@ def make_task(env: AbstractEnv, number: int, kind: TaskKind, starts: Starts, mos
     kind.put_starts(row, config)
     row.n_new = kind.has_newcomers
     row.n_at_start = kind.n_placed or 1 + row.n_others
-    terms = [(code, config.get(name, 0)) for name, (code, _) in kind.terms.items()]
+    weights = [config.get(name, 0) for name in kind.terms]
+    terms = [
+        (code, weight, kind_of_number(weight * wanted(1)))
+        for weight, (code, wanted) in zip(weights, kind.terms.values(), strict=True)
+    ]
     return Task(rules, np.array(terms, dtype=TERM), starts)
+
+
+def kind_of_number(number: Any) -> int:
+    """Return INTEGER, FLOAT or NUMPY."""
+    if isinstance(number, np.generic):
+        return NUMPY
+    return FLOAT if isinstance(number, float) else INTEGER
 
 
 def _put_rewards(row: Any, config: Config, kind: TaskKind) -> None:

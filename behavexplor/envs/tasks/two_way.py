@@ -2,6 +2,7 @@
 
 from types import MappingProxyType
 
+import numpy as np
 from highway_env.envs.two_way_env import TwoWayEnv
 
 from behavexplor.envs.engine.lane_geometry import lane_heading, lane_point
@@ -21,7 +22,9 @@ def _check(config: Config) -> None:
 
 KIND = TaskKind(
     env_classes=(TwoWayEnv,),
-    terms=MappingProxyType({"high_speed_reward": (SPEED_CHOICE, float), "left_lane_reward": (LEFT_LANE, float)}),
+    terms=MappingProxyType(
+        {"high_speed_reward": (SPEED_CHOICE, np.float64), "left_lane_reward": (LEFT_LANE, np.float64)}
+    ),
     is_normalized=False,
     truncates=False,
     start_lanes=lambda _: (("a", "b", 1), ("b", "a", 0)),

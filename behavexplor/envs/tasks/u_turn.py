@@ -19,7 +19,7 @@ KIND = TaskKind(
         {
             "collision_reward": (CRASHED, bool),
             "left_lane_reward": (LANE, float),
-            "high_speed_reward": (SPEED, float),
+            "high_speed_reward": (SPEED, np.float64),
             "on_road_reward": (ON_ROAD, np.bool_),
         }
     ),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from highway_env.road.lane import CircularLane, SineLane
 from highway_env.road.road import RoadNetwork
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from behavexplor.envs.engine.lane_geometry import SLACK, closest_lane, is_farther, may_be_on_lane, note_places
@@ -15,6 +15,8 @@ from behavexplor.envs.engine.reactive_traffic import UNKNOWN, neighbors
 from behavexplor.envs.engine.state import Scene, make_scratch, make_slots
 from behavexplor.envs.highway.conversion import load
 from behavexplor.envs.tasks.intersection import clear_vehicles
+from behavexplor.envs.tasks.reward_terms import plus
+from behavexplor.envs.tasks.task import INTEGER, kind_of_number
 from behavexplor.jit import kernel_in_place
 from tests.envs.highway.comparison import N_PLACES, N_STEPS, make, world_of
 
@@ -34,6 +36,14 @@ def neighbors_of(network, slots, scratch, i, lane, station):
     scene = Scene(slots.episodes[0], slots.vehicles[0], slots.traits[0], slots.routes[0], scratch)
     note_places(network, scene)
     return neighbors(network, scene, i, lane, station)
+
+
+@kernel_in_place
+def added(items, kinds):
+    total, lost, kind = 0.0, 0.0, INTEGER
+    for k in range(len(items)):
+        total, lost, kind = plus(total, lost, kind, items[k], kinds[k])
+    return total + lost
 
 
 @kernel_in_place
@@ -148,3 +158,14 @@ def test_the_ego_and_the_rest_keep_their_order_when_vehicles_leave():
     for i in range(n):
         length = max(slots.vehicles[0, i].route_length, 0)
         assert slots.routes[0, i, :length].tolist() == expected.routes[0, i, :length].tolist()
+
+
+NUMBERS = st.floats(-1e3, 1e3) | st.integers(-9, 9) | st.floats(-1e3, 1e3).map(np.float64)
+
+
+@given(st.lists(NUMBERS, max_size=8))
+@example([0, 0.1, 0.15, -0.05, -0.05])
+@example([-1.0, 0.1, np.float64(0.7), 0.2, 0.3])
+def test_numbers_are_added_as_this_python_adds_them(items):
+    kinds = [kind_of_number(item) for item in items]
+    assert added(np.array(items, dtype=np.float64), np.array(kinds, dtype=np.int64)) == sum(items)
