@@ -113,7 +113,7 @@ class Losses:
 
     damaged: list[int] = field(default_factory=list)  # numbers of executions that are damaged or missing
     cut_off: bool = False  # whether an unknown number of executions after the last of them is lost, too
-    files: list[int] = field(default_factory=list)  # numbers of failed executions whose file is missing
+    files: list[int] = field(default_factory=list)  # numbers of failed executions whose file is missing or empty
 
     def sentences(self, folder: Path) -> list[str]:
         """Return a sentence for each kind of loss."""

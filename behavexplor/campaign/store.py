@@ -20,7 +20,7 @@ from behavexplor.campaign.config import CONFIG
 from behavexplor.campaign.database_file import LOCK, connect, lock_folder
 from behavexplor.campaign.progress import known_stages
 from behavexplor.campaign.record import DATABASE, FAILURES, Losses, Record
-from behavexplor.data.durable import check_no_file, folder_in, write_durably
+from behavexplor.data.durable import check_no_file, folder_in, write_durably, write_whole
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import parse_json
@@ -221,7 +221,11 @@ class Store:
     def _write_failure(self, execution: Execution) -> None:
         fields = execution.record.to_dict().items()  # one on each line: deeper indentation takes twice as long
         text = ",\n".join(f" {json.dumps(name)}: {json.dumps(value)}" for name, value in fields)
-        write_durably(self.failure_path(execution.id), f"{{\n{text}\n}}\n")
+        write_whole(self.failure_path(execution.id), f"{{\n{text}\n}}\n")  # the database has what may be lost
+
+    def _has_failure_file(self, number: int) -> bool:
+        path = self.failure_path(number)
+        return path.is_file() and path.stat().st_size > 0
 
     def executions(self) -> Iterator[Execution]:
         """Yield all committed executions in order.
@@ -247,7 +251,7 @@ class Store:
             with suppress(database_rows.DamagedError):
                 record = None if row is None else _record(row)
             if record is not None:
-                if losses is not None and record.failed and not self.failure_path(number).is_file():
+                if losses is not None and record.failed and not self._has_failure_file(number):
                     losses.files.append(number)
                 yield record
             elif losses is None:
@@ -279,7 +283,7 @@ class Store:
     def recall(self, number: int) -> Execution | None:
         """Return an execution for a resumed campaign; None if it must be executed again.
 
-        If the file of a failure is missing, it is written again.
+        If the file of a failure is missing or empty, it is written again.
         """
         try:
             row = self._table.row(number)
@@ -288,7 +292,7 @@ class Store:
             execution = _execution(row)
         except database_rows.DamagedError:
             return None
-        if execution.record.failed and not self.failure_path(number).is_file():
+        if execution.record.failed and not self._has_failure_file(number):
             self._write_failure(execution)
         return execution
 

@@ -23,6 +23,16 @@ def write_durably(path: Path, content: str | bytes) -> None:
         file.write(content.encode() if isinstance(content, str) else content)
 
 
+def write_whole(path: Path, text: str) -> None:
+    """Write a file atomically, without waiting for the disk: after a power cut it may be missing or empty.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    with new_file(path, waits=False) as file:
+        file.write(text.encode())
+
+
 def write_given(path: Path, text: str) -> None:
     """Write a file that the user has named, which may also be a pipe or a terminal.
 
@@ -49,10 +59,10 @@ def append_durably(path: Path, content: bytes) -> None:
 
 
 @contextmanager
-def new_file(path: Path) -> Iterator[BufferedWriter]:
+def new_file(path: Path, *, waits: bool = True) -> Iterator[BufferedWriter]:
     """Open a new file, which takes the place of `path` when the block ends without an error.
 
-    A link in that place is replaced, and what it leads to is left as it is.
+    A link in that place is replaced, and what it leads to is left as it is. If `waits`, the file is flushed to disk.
 
     Raises:
         OSError: if the file cannot be written, or something other than a file is in its place.
@@ -67,7 +77,8 @@ def new_file(path: Path) -> Iterator[BufferedWriter]:
         try:
             yield file
             file.flush()
-            os.fsync(file.fileno())
+            if waits:
+                os.fsync(file.fileno())
         except BaseException:
             partial.unlink(missing_ok=True)
             raise

@@ -2,11 +2,12 @@
 
 import json
 import sqlite3
+from pathlib import Path
 
 import pytest
 
 from behavexplor.campaign.database_rows import rebuild
-from behavexplor.campaign.record import DATABASE, Record
+from behavexplor.campaign.record import DATABASE, Losses, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
@@ -93,6 +94,19 @@ def test_each_failure_has_a_file(store):
     store.commit()
     assert json.loads(store.failure_path(1).read_text()) == execution(1, ["collision"]).record.to_dict()
     assert [path.name for path in (store.folder / "failures").iterdir()] == ["000001.json"]
+
+
+@pytest.mark.parametrize("lose", [Path.unlink, lambda path: path.write_text("")], ids=["missing", "empty"])
+def test_the_file_of_a_failure_that_a_power_cut_took_is_written_again(store, lose):
+    store.add(execution(0, ["collision"]))
+    store.commit()
+    path = store.failure_path(0)
+    text = path.read_text()
+    lose(path)
+    losses = Losses()
+    assert [record.id for record in store.records(losses)] == losses.files == [0]
+    assert store.recall(0).id == 0
+    assert path.read_text() == text
 
 
 def test_a_folder_that_holds_something_is_not_overwritten(tmp_path):
