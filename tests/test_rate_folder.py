@@ -8,13 +8,16 @@ import time
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from behavexplor.api.rate_folder import CARD, OUTCOMES, RateFolder
+from behavexplor.api.rate_folder import CARD, OUTCOMES, PICTURE, RateFolder, impact
+from behavexplor.api.run import Run
 from behavexplor.campaign.config import campaign_config
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 from behavexplor.evaluation import BLOCK, estimate_rates, failing, start_judge
 from behavexplor.execution.start import logical_of_target
+from behavexplor.judge.fault import is_at_fault
 from behavexplor.judge.rates import Goal
 
 CONFIG = campaign_config({"env": "roundabout-v0", "ads": "constant:FASTER"})
@@ -103,7 +106,18 @@ def test_the_failures_are_a_run_and_the_card_tells_the_rates(tmp_path, capsys):
     text = (folder / f"{CARD}.md").read_text()
     assert "which says nothing about roads" in text
     assert f"| failed | {failed['count']} |" in text
+    assert f"({PICTURE})" in text
+    with Image.open(folder / PICTURE) as picture:
+        assert picture.format == "PNG"
     run = str(folder / "failures")
+    crashes = {
+        one.id: impact(Run(run).trace(one.id)) for one in Run(run).records if one.fault and is_at_fault(one.fault)
+    }
+    assert (
+        crashes[card["hardest"]["execution"]]
+        == max(crashes.values())
+        == pytest.approx(card["hardest"]["impact"], abs=0.01)
+    )
     assert main(["replay", run, "0"]) == OK
     assert main(["report", run, "--replays", "1"]) == OK
     assert main([*command, "--seed", "1", "--out", str(folder)]) == BAD_INPUT

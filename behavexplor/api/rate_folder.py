@@ -2,28 +2,38 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import asdict, replace
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CONFIG, CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import identity_of
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.campaign.store import Store
+from behavexplor.data.durable import folder_in, new_file, write_durably
 from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.road_shape import RoadShape
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.evaluation import Evaluation, Observe, failing
 from behavexplor.fuzz.methods import GIVEN
+from behavexplor.judge.fault import is_at_fault, touched_npc
 from behavexplor.judge.outcomes import OutcomeFile
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED
 from behavexplor.judge.specs import ERROR
+from behavexplor.report.drawing import decisive_frame, draw, footage_of
 from behavexplor.report.rendering import filled
+from behavexplor.report.road_shapes import known_road
 from behavexplor.report.run_page import written
 
-OUTCOMES, FAILURES, SCENARIOS, CARD = "outcomes.jsonl", "failures", "failures.jsonl", "card"
+OUTCOMES, FAILURES, SCENARIOS, CARD, PICTURE = "outcomes.jsonl", "failures", "failures.jsonl", "card", "card.png"
 MOST_STORED: Final = 1000  # failures that are driven again and kept with their traces
 CLAUSE: Final = "of the scenarios that {} draws in this configuration, which says nothing about roads"
 _BATCH: Final = 32
@@ -77,7 +87,7 @@ class RateFolder:
             ready.campaign.run(lambda progress: observe(progress.executions))
 
     def write_card(self, found: Mapping[str, Evaluation], alpha: float = ALPHA) -> dict[str, Any]:
-        """Write the card as JSON and in Markdown, and return its values.
+        """Write the card as JSON and in Markdown, with a picture of the hardest collision, and return its values.
 
         The first evaluation is that of the driver, the others are what it is compared with, by name. `alpha` is the
         probability with which an interval may miss its rate.
@@ -97,6 +107,7 @@ class RateFolder:
             "beside": {name: {"scenarios": one.n, **one.counts} for name, one in list(found.items())[1:]},
             "clause": CLAUSE.format(self._config.env),
             "classes": [{"class": one.id, "words": one.words, "failures": one.count} for one in classes],
+            "hardest": self._hardest() if counted else None,
             **self._subject,
             **self._driver,
         }
@@ -106,6 +117,26 @@ class RateFolder:
         written(self.path / f"{CARD}.json", json.dumps(card, indent=1) + "\n")
         written(self.path / f"{CARD}.md", text)
         return card
+
+    def _hardest(self) -> dict[str, Any] | None:
+        """Draw the hardest collision at fault, and describe it; None if there is none."""
+        with closing(Store.read(self.run)) as store:
+            crashes = (one for one in store.executions() if one.record.fault and is_at_fault(one.record.fault))
+            hardest = max(((one, impact(one.load_trace())) for one in crashes), key=itemgetter(1), default=None)
+        if hardest is None:
+            return None
+        execution, speed = hardest
+        footage = footage_of(execution, known_road(self._config.env, self.run) or RoadShape(()))
+        picture = draw(footage, decisive_frame(footage.trace, footage.violated))
+        with new_file(self.path / PICTURE) as file:
+            picture.save(file, "PNG")
+        return {"execution": execution.id, "impact": round(speed, 2), "picture": PICTURE}
+
+
+def impact(trace: Trace) -> float:
+    """Return the speed between the ego and what it touches in the last frame, in the frame before [m/s]."""
+    npc, velocity = touched_npc(trace), trace.velocity[max(len(trace.time) - 2, 0)]
+    return float(np.linalg.norm(velocity[0] - (0.0 if npc is None else velocity[npc])))
 
 
 def _rate(found: Evaluation, outcome: str, alpha: float) -> dict[str, float | None]:
