@@ -184,6 +184,8 @@ def _text(name: str, value: object) -> str:
 
 
 def _number(name: str, value: object) -> float:
+    if type(value) is float and 0.0 <= value < MAX_NUMBER:  # nearly always
+        return value
     number = math.nan
     if isinstance(value, int | float) and not isinstance(value, bool):
         number = float(value) if abs(value) < MAX_NUMBER else math.inf

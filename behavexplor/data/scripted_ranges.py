@@ -157,11 +157,12 @@ class ScriptedRanges:
         """Sample a vehicle with a uniform type, route and waypoints, regardless of other vehicles."""
         kind = self.vehicle_types[rng.integers(len(self.vehicle_types))]
         route = self.roadmap.npc_routes[rng.integers(len(self.roadmap.npc_routes))]
+        ranges, position, (slowest, fastest) = self._ranges[route.name], 0.0, self.speed_range
         waypoints = []
-        position = 0.0
-        for allowed in self._ranges[route.name]:
-            position = float(rng.uniform(max(allowed.start, position), allowed.end))
-            waypoints.append(Waypoint(position, float(rng.uniform(*self.speed_range))))
+        for allowed, (along, fast) in zip(ranges, rng.random((len(ranges), 2)).tolist(), strict=True):
+            least = max(allowed.start, position)
+            position = least + (allowed.end - least) * along
+            waypoints.append(Waypoint(position, slowest + (fastest - slowest) * fast))
         waypoints[-1] = Waypoint(position, 0.0)
         return NPC(kind, route.name, tuple(waypoints))
 
