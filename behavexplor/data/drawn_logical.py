@@ -116,15 +116,16 @@ class DrawnLogicalScenario:
 
     def scenario(self, seed: int, forms: Floats) -> DrawnScenario:
         """Return the scenario with the given standard forms of its draws, shape (n_draws,)."""
-        values = forms.tolist()
-        return DrawnScenario(self.setup, seed, tuple((name, tuple(values[own])) for name, own in self._places))
+        names, places = self._places
+        values = map(tuple, map(forms.tolist().__getitem__, places))
+        return DrawnScenario(self.setup, seed, tuple(zip(names, values, strict=True)))
 
     @cached_property
-    def _places(self) -> tuple[tuple[str, slice], ...]:
-        """Where the draws of each name are, in the order of names."""
+    def _places(self) -> tuple[tuple[str, ...], tuple[slice, ...]]:
+        """The names of the draws in their order, and where the draws of each name are."""
         names = [draw.name for draw in self.draws]
-        first = {name: names.index(name) for name in dict.fromkeys(names)}
-        return tuple((name, slice(at, at + names.count(name))) for name, at in sorted(first.items()))
+        known = tuple(sorted(set(names)))
+        return known, tuple(slice(at := names.index(name), at + names.count(name)) for name in known)
 
     def forms(self, scenario: DrawnScenario) -> Floats:
         """Return the standard forms of a scenario's draws, shape (n_draws,), at their median where it has none."""

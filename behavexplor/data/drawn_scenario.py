@@ -113,11 +113,12 @@ class DrawnScenario:
     def __post_init__(self) -> None:
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < MAX_SEED:
             raise InputError(f"seed: expected a whole number from 0 to 2^63 - 1, got {brief(self.seed)}")
-        if sum(len(values) for _, values in self.draws) > MAX_DRAWS:
+        every = [value for _, values in self.draws for value in values]
+        if len(every) > MAX_DRAWS:
             raise InputError(f"draws: at most {MAX_DRAWS} can be given")
+        if {*map(type, every)} <= {float} and all(map(math.isfinite, every)):
+            return
         for name, values in self.draws:
-            if {*map(type, values)} <= {float} and all(map(math.isfinite, values)):
-                continue
             for i, value in enumerate(values):
                 if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                     raise InputError(f"draws[{name!r}][{i}]: expected a finite number, got {brief(value)}")
