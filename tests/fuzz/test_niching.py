@@ -62,9 +62,9 @@ def test_without_a_penalty_it_does_not():
     assert child(method).parent == first.number
 
 
-def uniform_share(failing):
-    """The share of uniform candidates if every `failing`th of them fails, and every child."""
-    method, drawn, origins = search(initial=20), 0, []
+def uniform_share(uniform, failing):
+    """The share of uniform candidates if this share of them is asked for, and every `failing`th of them fails."""
+    method, drawn, origins = search(initial=20, uniform=uniform), 0, []
     for _ in range(420):
         candidate = method.ask()
         drawn += candidate.origin == UNIFORM
@@ -74,18 +74,27 @@ def uniform_share(failing):
     return origins[20:].count(UNIFORM) / 400
 
 
-def test_the_share_of_uniform_scenarios_is_that_of_their_failures():
-    assert uniform_share(failing=0) == 0.0
-    assert uniform_share(failing=2) == pytest.approx(0.5, abs=0.12)
+def test_the_share_of_uniform_scenarios_is_that_of_their_failures_or_more():
+    assert uniform_share(0.0, failing=0) == 0.0
+    assert uniform_share(0.0, failing=2) == pytest.approx(0.5, abs=0.12)
+    assert uniform_share(0.2, failing=0) == pytest.approx(0.2, abs=0.08)
+    assert uniform_share(0.2, failing=2) == pytest.approx(0.5, abs=0.12)
 
 
-def test_a_child_differs_from_its_parent_which_it_is_near():
-    method = search()
+@pytest.mark.parametrize("redraw", [0.0, 1.0])
+def test_a_child_differs_from_its_parent(redraw):
+    method = search(redraw=redraw, exchange=0.0)
     parent = tell(method, approach(1.0))
-    encode = method._asker.encoding.encode
-    distances = [np.abs(encode(child(method).scenario) - encode(parent.scenario)).mean() for _ in range(50)]
-    assert min(distances) > 0.0
-    assert np.mean(distances) < 0.1  # of two uniform points, it is 1 / 3
+    known = method._asker.encoding.encode(parent.scenario)
+    for _ in range(50):
+        assert (method._asker.encoding.encode(child(method).scenario) != known).any()
+
+
+def test_a_mutation_that_draws_anew_leaves_other_vehicles_as_they_are():
+    method = search(redraw=1.0, exchange=0.0)
+    parent = tell(method, approach(1.0)).scenario
+    kept = [sum(npc in parent.npcs for npc in child(method).scenario.npcs) for _ in range(30)]
+    assert np.mean(kept) > len(parent.npcs) / 2
 
 
 def test_a_failure_is_better_than_any_near_miss():
