@@ -17,7 +17,7 @@ from behavexplor.ads.sb3.archive import opened_torch, suspicions_about
 from behavexplor.ads.sb3.inert import MAX_DEPTH, MAX_PARTS, OLD_TORCH, Inert, Name, PickleReader, TooLongError
 from behavexplor.ads.sb3.normalization import as_mapping
 from behavexplor.data.array_types import Array
-from behavexplor.data.untrusted import read_file
+from behavexplor.data.untrusted import member, read_file
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 200_000_000  # greatest size of a file
@@ -93,9 +93,9 @@ def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
         root = next((name.removesuffix("data.pkl") for name in names if name.endswith("/data.pkl")), None)
         if root is None:
             raise InputError(f"{path} is not a file that torch.save writes: it has no data.pkl")
-        if f"{root}byteorder" in names and file.read(f"{root}byteorder") != b"little":
+        if f"{root}byteorder" in names and member(file, f"{root}byteorder") != b"little":
             raise InputError(f"{path} was written on a machine of another byte order, which is not read")
-        content, called = PickleReader().read(file.read(f"{root}data.pkl"))
+        content, called = PickleReader().read(member(file, f"{root}data.pkl"))
         storages = _Storages(file, root)
         entries = list(_entries(content))
         arrays = {name: storages.tensor(one) for name, one in entries if _is_tensor(one)}
@@ -155,7 +155,7 @@ class _Storages:
         if not (isinstance(kind, Name) and isinstance(key, str)):
             raise ValueError("a tensor in it has no numbers")  # noqa: TRY004 - it comes from a file
         if key not in self._read:
-            self._read[key] = self._file.read(f"{self._root}data/{key}")
+            self._read[key] = member(self._file, f"{self._root}data/{key}")
         numbers = np.frombuffer(self._read[key], _DTYPES[kind.name.rpartition(".")[2].removesuffix("Storage")])
         if not all(type(one) is int and one >= 0 for one in (offset, *shape, *strides)):
             raise ValueError("a tensor in it has a wrong shape")
