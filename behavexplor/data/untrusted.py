@@ -1,4 +1,4 @@
-"""Safe loading of untrusted YAML, JSON, npz, zip and gzip files. Limits are checked before any value of a file is created."""
+"""Safe loading of YAML, JSON, npz and packed files of others. Limits are checked before any value of a file is created."""
 
 import io
 import json
