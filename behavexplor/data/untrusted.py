@@ -1,4 +1,4 @@
-"""Safe loading of YAML, JSON, npz and packed files of others. Limits are checked before any value of a file is created."""
+"""Safe loading of YAML, JSON, npz and packed files of others. Limits are checked before values of a file are created."""
 
 import io
 import json
