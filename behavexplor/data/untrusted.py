@@ -1,4 +1,4 @@
-"""Safe loading of YAML, JSON, npz and packed files of others. Limits are checked before values of a file are created."""
+"""Safe loading of YAML, JSON, npz and packed files of others. Limits are checked before a file's values are created."""
 
 import io
 import json
