@@ -165,6 +165,14 @@ def test_a_model_in_memory_that_was_trained_in_a_wrapper_is_refused(wrapped):
         policy_of(model)
 
 
+@pytest.mark.parametrize("wrapper", [VecNormalize, lambda env: VecFrameStack(env, 2)], ids=["statistics", "frames"])
+def test_a_model_in_memory_that_was_trained_in_two_wrappers_of_a_kind_is_refused(wrapper):
+    env = wrapper(wrapper(make_vec_env("highway-fast-v0")))
+    model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
+    with pytest.raises(InputError, match=f"trained in 2 wrappers {type(env).__name__}, and a campaign applies one"):
+        policy_of(model)
+
+
 class Louder(VecEnvWrapper):
     """A wrapper of a user's own, which changes observations."""
 
