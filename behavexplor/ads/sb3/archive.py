@@ -24,6 +24,7 @@ MAX_RATIO: Final = 20  # greatest ratio of unpacked to packed size of a large fi
 LARGE: Final = 10_000_000
 MAX_ABOUT: Final = 10_000  # characters of its description that are read
 
+SAVE_WEIGHTS: Final = "save its weights by torch.save(model.state_dict(), 'weights.pth')"
 DATA, WEIGHTS, OPTIMIZER, SYSTEM = "data", "policy.pth", "policy.optimizer.pth", "system_info.txt"
 SETTINGS = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", "_last_obs", "train_freq")
 
@@ -164,10 +165,12 @@ def _content(place: str, value: Any, reader: PickleReader) -> tuple[Any, list[st
 
 @contextmanager
 def opened_torch(what: str, data: bytes) -> Iterator[ZipFile]:
-    """Open a file of torch, which does not compress: it is refused if it would unpack to more bytes than it has."""
+    """Open a file of torch, which does not compress: it is refused if it is larger unpacked, or a program."""
     with ZipFile(io.BytesIO(data)) as file:
         if (unpacked := unpacked_size(file)) > len(data):
             raise InputError(f"{what} would unpack to {unpacked} bytes, which torch never writes; it was not read")
+        if any("/code/" in name for name in file.namelist()):
+            raise InputError(f"{what} is a program of TorchScript, which is not run: {SAVE_WEIGHTS}")
         yield file
 
 
