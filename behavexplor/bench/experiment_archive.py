@@ -18,7 +18,7 @@ from behavexplor.bench.summaries import Summary
 from behavexplor.campaign.config import campaign_config
 from behavexplor.campaign.record import DATABASE
 from behavexplor.data.durable import write_durably
-from behavexplor.data.untrusted import read_file
+from behavexplor.data.untrusted import decompressed, read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 
@@ -78,8 +78,7 @@ def _read_lines(path: Path) -> dict[str, dict[str, Any]]:
     if not path.is_file():
         return {}
     try:
-        packed = read_file(path) or b"\0"  # gzip takes an empty file for empty data
-        lines = [json.loads(line) for line in gzip.decompress(packed).decode().splitlines()]
+        lines = [json.loads(line) for line in decompressed(read_file(path)).decode().splitlines()]
         return {line["run"]: {name: line[name] for name in ("run", "config", "summary")} for line in lines}
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zlib.error) as error:
+    except (OSError, ValueError, KeyError, TypeError, zlib.error) as error:
         raise InputError(f"{path} is damaged ({error}): restore it, or delete it to run its campaigns again") from None

@@ -1,12 +1,13 @@
-"""Safe loading of untrusted YAML, JSON and npz files. Limits are checked before any value of a file is created."""
+"""Safe loading of YAML, JSON, npz and packed files of others. Limits are checked before a file's values are created."""
 
 import io
 import json
 import stat
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
-from zipfile import ZipFile
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 import yaml
@@ -22,6 +23,7 @@ MAX_ARRAY_BYTES: Final = 200_000_000  # unpacked size of all arrays in an npz fi
 
 MAX_FILE_BYTES: Final = 100_000_000  # size of a file that is read as a whole, unless a reader says otherwise
 
+_GZIP: Final = 31  # tells zlib that data has the header of gzip
 _INTEGER: Final = "tag:yaml.org,2002:int"
 
 
@@ -131,10 +133,40 @@ def read_arrays(data: bytes) -> Mapping[str, Array]:
     """
     try:
         with ZipFile(io.BytesIO(data)) as file:
-            size = sum(member.file_size for member in file.infolist())
-        if size > MAX_ARRAY_BYTES:
-            raise ValueError(f"it would unpack to {size} bytes, more than {MAX_ARRAY_BYTES}")  # noqa: TRY301
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
+            if (size := unpacked_size(file)) > MAX_ARRAY_BYTES:
+                raise ValueError(f"it would unpack to {size} bytes, more than {MAX_ARRAY_BYTES}")  # noqa: TRY301
+            members = {name.removesuffix(".npy"): io.BytesIO(member(file, name)) for name in file.namelist()}
+        return {name: np.lib.format.read_array(content, allow_pickle=False) for name, content in members.items()}
     except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds of errors for damaged files
         raise ValueError(" ".join(f"{type(error).__name__}: {error}".split())[:300]) from None
+
+
+def unpacked_size(file: ZipFile) -> int:
+    """Return how many bytes the members of a zip file have, as it says.
+
+    Raises:
+        ValueError: if they are compressed by a method that `member` could not stop at this size.
+    """
+    if any(one.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for one in file.infolist()):
+        raise ValueError("it is compressed by another method than deflate")
+    return sum(one.file_size for one in file.infolist())
+
+
+def member(file: ZipFile, name: str) -> bytes:
+    """Return a member of a zip file, of which `ZipFile.read` would unpack up to 2 GB, whatever size the file states."""
+    with file.open(name) as opened:
+        return opened.read(file.getinfo(name).file_size)
+
+
+def decompressed(data: bytes, most: int = MAX_FILE_BYTES) -> bytes:
+    """Return what gzip has compressed.
+
+    Raises:
+        ValueError: if it is cut short, or would unpack to more than `most` bytes.
+        zlib.error: if it is damaged.
+    """
+    stream = zlib.decompressobj(_GZIP)
+    found = stream.decompress(data, most)
+    if not stream.eof:
+        raise ValueError(f"it is cut short, or would unpack to more than {most} bytes")
+    return found

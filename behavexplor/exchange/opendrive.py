@@ -34,6 +34,8 @@ _CUT: Final = 10.0  # length of the road that is cut off from a connecting road 
 _SHORTER: Final = 1e-9  # how much the length of a cubic is rounded down [m]
 _SHARES: Final = np.linspace(0.0, 1.0, 5)
 REVISION: Final = "7"  # minor revision of OpenDRIVE 1
+# where a road of no place lies, which CARLA asks for: its origin at latitude 0 and longitude 0
+_PLACE: Final = "+proj=tmerc +lat_0=0 +lon_0=0 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
 _FIRST_JUNCTION: Final = 1000  # id of the first junction; ids of roads are smaller where there are fewer roads
 
 
@@ -223,7 +225,7 @@ def _junctions(links: Links, count: int) -> tuple[int, ...]:
 def write_road(plan: RoadPlan, name: str, path: Path) -> None:
     """Write a road as an OpenDRIVE file."""
     layout = road_layout(plan)
-    network = xodr.OpenDrive(name, revMinor=REVISION)
+    network = xodr.OpenDrive(name, revMinor=REVISION, geo_reference=_PLACE)
     for i in range(len(layout.roads)):
         network.add_road(_road(layout, i))
     for junction in sorted({*layout.junction} - {NOWHERE}):

@@ -48,6 +48,7 @@ def test_a_road_is_valid(name, tmp_path):
     path = tmp_path / "road.xodr"
     write_road(plan_of(name)[0], name, path)
     assert schema_errors(path) == []
+    assert "+lat_0=0 +lon_0=0 " in etree.parse(path).findtext("header/geoReference")
 
 
 def read_centers(path):

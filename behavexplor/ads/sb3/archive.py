@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
-from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
+from zipfile import ZipFile
 
 from behavexplor.ads.sb3.inert import LOAD_TENSOR, OLD_TORCH, PickleReader, TooLongError, check_extent
-from behavexplor.data.untrusted import read_file
+from behavexplor.data.untrusted import member, read_file, unpacked_size
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 1_000_000_000  # greatest size of an unpacked file
@@ -24,6 +24,7 @@ MAX_RATIO: Final = 20  # greatest ratio of unpacked to packed size of a large fi
 LARGE: Final = 10_000_000
 MAX_ABOUT: Final = 10_000  # characters of its description that are read
 
+SAVE_WEIGHTS: Final = "save its weights by torch.save(model.state_dict(), 'weights.pth')"
 DATA, WEIGHTS, OPTIMIZER, SYSTEM = "data", "policy.pth", "policy.optimizer.pth", "system_info.txt"
 SETTINGS = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", "_last_obs", "train_freq")
 
@@ -80,8 +81,8 @@ def read_archive(path: Path) -> Archive:
         with ZipFile(io.BytesIO(packed)) as file:
             _check_members(path, file, len(packed))
             data = _settings(file)
-            about = file.read(SYSTEM)[:MAX_ABOUT].decode(errors="replace") if SYSTEM in file.namelist() else ""
-            tensors = {name: file.read(name) for name in file.namelist() if name.endswith(".pth")}
+            about = member(file, SYSTEM)[:MAX_ABOUT].decode(errors="replace") if SYSTEM in file.namelist() else ""
+            tensors = {name: member(file, name) for name in file.namelist() if name.endswith(".pth")}
         settings, of_data = _read_settings(path, data, reader)
         of_tensors = [said for name, content in tensors.items() for said in _of_tensors(path, name, content, reader)]
     except InputError:
@@ -118,15 +119,13 @@ def _check_members(path: Path, file: ZipFile, packed: int) -> None:
     """Check the members of a zip file before anything is unpacked."""
     if missing := {DATA, WEIGHTS} - set(file.namelist()):
         raise InputError(f"{path} is not a model of Stable-Baselines3: it has no {', '.join(sorted(missing))}")
-    if any(member.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for member in file.infolist()):
-        raise InputError(f"{path} was compressed in another way than by Stable-Baselines3 or zip; it was not read")
-    unpacked = sum(member.file_size for member in file.infolist())
+    unpacked = unpacked_size(file)
     if unpacked > min(MAX_BYTES, max(LARGE, MAX_RATIO * packed)) or file.getinfo(DATA).file_size > MAX_DATA:
         raise InputError(f"{path} would unpack to {unpacked} bytes, which no model needs; it was not read")
 
 
 def _settings(file: ZipFile) -> dict[str, Any]:
-    data = json.loads(file.read(DATA))
+    data = json.loads(member(file, DATA))
     if not isinstance(data, dict):
         raise ValueError("its data is not a JSON object")  # noqa: TRY004 - it comes from a file
     return data
@@ -166,11 +165,12 @@ def _content(place: str, value: Any, reader: PickleReader) -> tuple[Any, list[st
 
 @contextmanager
 def opened_torch(what: str, data: bytes) -> Iterator[ZipFile]:
-    """Open a file of torch, which does not compress: it is refused if it would unpack to more bytes than it has."""
+    """Open a file of torch, which does not compress: it is refused if it is larger unpacked, or a program."""
     with ZipFile(io.BytesIO(data)) as file:
-        unpacked = sum(member.file_size for member in file.infolist())
-        if unpacked > len(data) or any(one.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for one in file.infolist()):
+        if (unpacked := unpacked_size(file)) > len(data):
             raise InputError(f"{what} would unpack to {unpacked} bytes, which torch never writes; it was not read")
+        if any("/code/" in name for name in file.namelist()):
+            raise InputError(f"{what} is a program of TorchScript, which is not run: {SAVE_WEIGHTS}")
         yield file
 
 
@@ -184,5 +184,5 @@ def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> 
     if not content.startswith(b"PK"):
         raise ValueError(f"its {name} is not a file that torch wrote")
     with opened_torch(f"{name} in {path}", content) as tensors:
-        pickled = [tensors.read(part) for part in tensors.namelist() if part.endswith(".pkl")]
+        pickled = [member(tensors, part) for part in tensors.namelist() if part.endswith(".pkl")]
     return [said for data in pickled for said in suspicions_about(name, reader.read(data)[1])]

@@ -218,7 +218,10 @@ def _known(reference: Any) -> Any:
     if not (isinstance(reference, Name) and name.startswith(_KNOWN)):
         raise UntrustedError(f"it needs {name}")
     module, _, attribute = name.rpartition(".")
-    found = getattr(import_module(module), attribute)
+    try:
+        found = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError):
+        raise ValueError(f"it needs {name}, which the installed version does not have") from None
     if not isinstance(found, type):
         raise UntrustedError(f"it needs {name}")
     return found

@@ -76,18 +76,29 @@ def policy_of(model: BaseAlgorithm) -> SB3Policy:
     environment. A warning names each other wrapper that may change what the policy observes or does.
 
     Raises:
-        InputError: if the environment has a wrapper that is known to change them, and is not applied in a campaign.
+        InputError: if the environment has a wrapper that is known to change them, and is not applied in a campaign, or
+            two of a kind.
     """
     wrappers = list(_wrappers(model.get_env()))
     _check_wrappers([*wrappers, *_single_wrappers(model.get_env())])
     network = _copied(model)
-    stacks = [wrapper.stacked_obs.n_stack for wrapper in wrappers if isinstance(wrapper, VecFrameStack)]
-    scaling = [wrapper for wrapper in wrappers if isinstance(wrapper, VecNormalize) and wrapper.norm_obs]
+    stack = _only([wrapper for wrapper in wrappers if isinstance(wrapper, VecFrameStack)])
+    scaling = _only([wrapper for wrapper in wrappers if isinstance(wrapper, VecNormalize) and wrapper.norm_obs])
     config = training_env(model)[1] or {}
     declared = {name: config[name] for name in ENVIRONMENT_KEYS if name in config}
-    description = Description(config=config or None, frame_stack=stacks[0] if stacks else 1, **declared)
+    description = Description(config=config or None, frame_stack=stack.stacked_obs.n_stack if stack else 1, **declared)
     last = None if wrappers or training_env(model)[0] else _last_observations(model)
-    return SB3Policy(network, description, _statistics(scaling[0]) if scaling else None, last)
+    return SB3Policy(network, description, _statistics(scaling) if scaling else None, last)
+
+
+def _only(wrappers: list[Any]) -> Any:
+    """Return the wrapper of a kind, or None if there is none; a campaign would not apply a second one."""
+    if len(wrappers) > 1:
+        name = type(wrappers[0]).__name__
+        raise InputError(
+            f"The model was trained in {len(wrappers)} wrappers {name}, and a campaign applies one of a kind"
+        )
+    return wrappers[0] if wrappers else None
 
 
 def _last_observations(model: BaseAlgorithm) -> Observation | None:

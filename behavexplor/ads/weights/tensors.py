@@ -13,11 +13,11 @@ from zipfile import ZipFile
 import numpy as np
 from safetensors import SafetensorError, deserialize
 
-from behavexplor.ads.sb3.archive import opened_torch, suspicions_about
+from behavexplor.ads.sb3.archive import SAVE_WEIGHTS, opened_torch, suspicions_about
 from behavexplor.ads.sb3.inert import MAX_DEPTH, MAX_PARTS, OLD_TORCH, Inert, Name, PickleReader, TooLongError
 from behavexplor.ads.sb3.normalization import as_mapping
 from behavexplor.data.array_types import Array
-from behavexplor.data.untrusted import read_file
+from behavexplor.data.untrusted import member, read_file
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 200_000_000  # greatest size of a file
@@ -30,7 +30,6 @@ MAX_HEADER: Final = 5_000_000  # greatest size of the header of safetensors
 MAX_MEMBERS: Final = 20_000  # members of a file of torch, which has one for each tensor
 _MEMBER: Final = b"PK\x01\x02"  # begins the entry of a member
 _OPTIMIZER: Final = re.compile(r"optim(?!al)")
-_SAVE: Final = "save its weights by torch.save(model.state_dict(), 'weights.pth')"
 
 
 @dataclass(frozen=True)
@@ -66,13 +65,13 @@ def read_tensors(path: Path) -> TensorFile:
             "weights_only=True), and save it again by torch.save"
         )
     if not data.startswith(b"PK"):
-        raise InputError(f"{path} is not a file that torch.save writes: {_SAVE}")
+        raise InputError(f"{path} is not a file that torch.save writes: {SAVE_WEIGHTS}")
     try:
         return tensors_in(path, data, digest)
     except InputError:
         raise
     except TooLongError as error:
-        raise InputError(f"The pickle in {path} has {error}, which no policy needs: {_SAVE}") from None
+        raise InputError(f"The pickle in {path} has {error}, which no policy needs: {SAVE_WEIGHTS}") from None
     except Exception as error:  # zipfile, zlib and numpy raise many kinds of errors for damaged files
         raise InputError(f"{path} is not a file that torch.save writes, or is damaged: {error}") from None
 
@@ -88,14 +87,12 @@ def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
         raise InputError(f"{path} has more than {MAX_MEMBERS} members, which no policy needs; it was not read")
     with opened_torch(str(path), data) as file:
         names = file.namelist()
-        if any("/code/" in name for name in names):
-            raise InputError(f"{path} is a program of TorchScript, which is not run: {_SAVE}")
         root = next((name.removesuffix("data.pkl") for name in names if name.endswith("/data.pkl")), None)
         if root is None:
             raise InputError(f"{path} is not a file that torch.save writes: it has no data.pkl")
-        if f"{root}byteorder" in names and file.read(f"{root}byteorder") != b"little":
+        if f"{root}byteorder" in names and member(file, f"{root}byteorder") != b"little":
             raise InputError(f"{path} was written on a machine of another byte order, which is not read")
-        content, called = PickleReader().read(file.read(f"{root}data.pkl"))
+        content, called = PickleReader().read(member(file, f"{root}data.pkl"))
         storages = _Storages(file, root)
         entries = list(_entries(content))
         arrays = {name: storages.tensor(one) for name, one in entries if _is_tensor(one)}
@@ -110,8 +107,8 @@ def _without_tensors(path: Path, content: Any, entries: list[tuple[str, Any]]) -
     modules = [one for one in (content, *(one for _, one in entries)) if isinstance(one, Inert)]
     whole = next((one.name for one in modules if isinstance(one.state, dict) and "_parameters" in one.state), None)
     if whole is not None:
-        return f"{path} holds a whole pickled module ({whole}), whose code is not run: {_SAVE}"
-    return f"{path} holds no tensors of a network: {_SAVE}"
+        return f"{path} holds a whole pickled module ({whole}), whose code is not run: {SAVE_WEIGHTS}"
+    return f"{path} holds no tensors of a network: {SAVE_WEIGHTS}"
 
 
 def _entries(content: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
@@ -155,7 +152,7 @@ class _Storages:
         if not (isinstance(kind, Name) and isinstance(key, str)):
             raise ValueError("a tensor in it has no numbers")  # noqa: TRY004 - it comes from a file
         if key not in self._read:
-            self._read[key] = self._file.read(f"{self._root}data/{key}")
+            self._read[key] = member(self._file, f"{self._root}data/{key}")
         numbers = np.frombuffer(self._read[key], _DTYPES[kind.name.rpartition(".")[2].removesuffix("Storage")])
         if not all(type(one) is int and one >= 0 for one in (offset, *shape, *strides)):
             raise ValueError("a tensor in it has a wrong shape")

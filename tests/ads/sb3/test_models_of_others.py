@@ -1,5 +1,6 @@
 """Models and configurations as other people have them: unusual networks, lost parts, and files named otherwise."""
 
+import base64
 import json
 import zipfile
 from contextlib import suppress
@@ -164,6 +165,14 @@ def test_a_model_in_memory_that_was_trained_in_a_wrapper_is_refused(wrapped):
         policy_of(model)
 
 
+@pytest.mark.parametrize("wrapper", [VecNormalize, lambda env: VecFrameStack(env, 2)], ids=["statistics", "frames"])
+def test_a_model_in_memory_that_was_trained_in_two_wrappers_of_a_kind_is_refused(wrapper):
+    env = wrapper(wrapper(make_vec_env("highway-fast-v0")))
+    model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
+    with pytest.raises(InputError, match=f"trained in 2 wrappers {type(env).__name__}, and a campaign applies one"):
+        policy_of(model)
+
+
 class Louder(VecEnvWrapper):
     """A wrapper of a user's own, which changes observations."""
 
@@ -261,3 +270,15 @@ def test_statistics_that_cannot_scale_are_refused(name, value, tmp_path):
     envs.save(tmp_path / "vecnormalize.pkl")
     with pytest.raises(InputError, match="contains no usable statistics: clip_obs is"):
         Statistics.read(tmp_path / "vecnormalize.pkl")
+
+
+@pytest.mark.parametrize("name", ["stable_baselines3.nowhere.x Foo", "stable_baselines3.ppo.policies Foo"])
+def test_a_class_that_the_installed_version_lacks_is_named(name, tmp_path):
+    make_model("PPO", SEEN).save(tmp_path / "model.zip")
+    module, attribute = name.split()
+    pickled = base64.b64encode(f"c{module}\n{attribute}\n.".encode()).decode()
+    with zipfile.ZipFile(tmp_path / "model.zip") as file:
+        data = json.loads(file.read("data")) | {"policy_class": {":serialized:": pickled}}
+    path = rewritten(tmp_path / "model.zip", tmp_path / "new.zip", data=json.dumps(data).encode())
+    with pytest.raises(InputError, match=f"it needs {module}.{attribute}, which the installed version does not have"):
+        load_policy(path)

@@ -506,6 +506,15 @@ def legacy():
     return file.getvalue()
 
 
+def program():
+    """A program of TorchScript, with whose methods torch would load it."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as new:
+        new.writestr("archive/data.pkl", b"N.")
+        new.writestr("archive/code/__torch__.py", "")
+    return file.getvalue()
+
+
 LAUGHS = b"\x80\x04)" + b"2\x86" * 30 + b"."  # a tuple, 30 times paired with itself
 
 
@@ -517,11 +526,12 @@ LAUGHS = b"\x80\x04)" + b"2\x86" * 30 + b"."  # a tuple, 30 times paired with it
             r"policy\.pth in .* would unpack to \d+ bytes, which torch never",
         ),
         ({"policy_pth": bytes(3 * 10**8)}, "would unpack to 3000.* bytes, which no model needs"),
+        ({"policy_pth": program()}, r"policy\.pth in .* is a program of TorchScript, which is not run"),
         ({"policy_pth": legacy()}, r"policy\.pth in .* has the format of torch before 1\.6, which is not read"),
         ({"policy_pth": tensors(b"\x80\x04}" + LAUGHS[2:-1] + b"Ns.")}, "a tuple as a key"),
         ({"policy_optimizer_pth": tensors(b"N0" * 200_000 + b"N.")}, "300000 instructions"),
     ],
-    ids=["weights", "member", "legacy", "keys", "instructions"],
+    ids=["weights", "member", "program", "legacy", "keys", "instructions"],
 )
 def test_a_file_made_to_take_long_is_refused_at_once(members, message, tmp_path, ppo):
     path = rewritten(ppo, tmp_path / "model.zip", **members)
@@ -598,7 +608,7 @@ def test_members_that_cannot_be_unpacked_in_bounds_are_refused(method, tmp_path,
     with zipfile.ZipFile(ppo) as old, zipfile.ZipFile(tmp_path / "model.zip", "w", method) as new:
         for name in old.namelist():
             new.writestr(name, old.read(name))
-    with pytest.raises(InputError, match="was compressed in another way than by Stable-Baselines3 or zip"):
+    with pytest.raises(InputError, match="is compressed by another method than deflate"):
         load_policy(tmp_path / "model.zip")
 
 
