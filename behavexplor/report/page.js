@@ -63,6 +63,8 @@
       this.output = this.box.querySelector(".time");
       this.pick = card.querySelector(".pick");
       this.speed = this.box.querySelector(".speed");
+      const across = this.run.road.lanes.flat().map(([, y]) => y);
+      card.classList.toggle("flat", Math.max(...across) - Math.min(...across) < VIEW / 2); // a road along x
       this.follow = true;
       this.peers = [this]; // the players that play together
       this.playing = false;
