@@ -123,7 +123,18 @@ class Section:
     @property
     def parameters(self) -> list[tuple[str, str]]:
         """Names and values of the campaign's configuration."""
-        return [(name, str(value)) for name, value in asdict(self.run.config).items()]
+        return [(name, _value_text(value)) for name, value in asdict(self.run.config).items()]
+
+
+def _value_text(value: Any) -> str:
+    """Return a value of a configuration as a reader would write it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key}: {_value_text(one)}" for key, one in value.items()) or "none"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return ", ".join(map(_value_text, value)) or "none"
+    return "none" if value in (None, "") else str(value)
 
 
 def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first: Sequence[int] = ()) -> Section:
