@@ -22,6 +22,12 @@
   };
   readColors();
 
+  for (const run of data.runs) { // a road along x is flat; its pictures are lower
+    let [low, high] = [Infinity, -Infinity];
+    for (const [, y] of run.road.lanes.flat()) [low, high] = [Math.min(low, y), Math.max(high, y)];
+    run.flat = high >= low && high - low < VIEW / 2;
+  }
+
   async function unpack(replay) {
     const bytes = Uint8Array.from(atob(replay.data), (c) => c.charCodeAt(0));
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -63,8 +69,7 @@
       this.output = this.box.querySelector(".time");
       this.pick = card.querySelector(".pick");
       this.speed = this.box.querySelector(".speed");
-      const across = this.run.road.lanes.flat().map(([, y]) => y);
-      card.classList.toggle("flat", Math.max(...across) - Math.min(...across) < VIEW / 2); // a road along x
+      card.classList.toggle("flat", this.run.flat);
       this.follow = true;
       this.peers = [this]; // the players that play together
       this.playing = false;
