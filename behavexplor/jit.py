@@ -38,7 +38,7 @@ _PACKAGE = Path(__file__).parent
 _INSTALLATION = f"behavexplor-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]}"
 _IMPORT = re.compile(r"^(?:from|import) ([.\w]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 _njit = cast("Any", numba.njit)  # its stubs leave some options out
-_COMPILING: Final = "Compiling to machine code; this takes some seconds, and the result is cached for next time ..."
+_COMPILING: Final = "Compiling to machine code; this takes some seconds, and is cached for next time"
 _COMPILING_SLOWLY: Final = (
     "Compiling to machine code; this takes minutes, and driving takes several times as long as usual, with numba "
     f"{numba.__version__}, which is not one of the versions that this package knows ..."

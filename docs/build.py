@@ -1,10 +1,17 @@
-"""Makes the environments' pages from their docstrings: python docs/build.py [--pictures]."""
+"""Makes the environments' pages from their docstrings: python docs/build.py [--pictures] [--notebooks].
+
+With --pictures also their pictures; with --notebooks, what the notebooks in docs/notebooks show.
+"""
 
 import inspect
+import os
 import sys
+import tempfile
 from pathlib import Path
 
 import gymnasium
+import nbformat
+from nbclient import NotebookClient
 from PIL import Image
 
 import behavexplor
@@ -12,6 +19,7 @@ from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 
 FOLDER = Path(__file__).parent / "environments"
+NOTEBOOKS = sorted((Path(__file__).parent / "notebooks").glob("*.ipynb"))
 SEED = 4  # of the scenario in the pictures
 VIEWS = {"intersection": (900, 900, 4.4, [0.5, 0.88]), "lane": (1500, 260, 5.6, [0.05, 0.5])}  # size, scale, center
 OTHER_VIEW = (900, 900, 3.0, [0.5, 0.5])
@@ -72,12 +80,31 @@ def picture(name: str) -> Image.Image:
     return image
 
 
+def shown(path: Path, folder: str | Path) -> nbformat.NotebookNode:
+    """A notebook with what its cells return when it runs in a folder, but without progress, which has running times."""
+    notebook = nbformat.read(path, as_version=4)
+    client = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(folder)}})
+    client.execute(env={**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)})
+    for cell in notebook.cells:
+        cell.metadata = {}
+        if cell.cell_type == "code":
+            cell.outputs = [one for one in cell.outputs if one.output_type == "execute_result"]
+            for one in cell.outputs:
+                one.data.pop("image/jpeg", None)  # a picture is kept once, as PNG
+    notebook.metadata.language_info = {"name": "python"}
+    return notebook
+
+
 def main() -> None:
     """Write all pages, and the pictures if asked to."""
     for name in behavexplor.FUNCTIONAL_SCENARIOS:
         (FOLDER / f"{name}.md").write_text(page(name))
         if "--pictures" in sys.argv[1:]:
             picture(name).save(FOLDER / f"{name}.png", optimize=True)
+    if "--notebooks" in sys.argv[1:]:
+        for path in NOTEBOOKS:
+            with tempfile.TemporaryDirectory() as folder:
+                nbformat.write(shown(path, folder), path)
 
 
 if __name__ == "__main__":

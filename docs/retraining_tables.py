@@ -1,4 +1,4 @@
-"""Puts the measured retrainings into the tables of docs/repair.md: python docs/retraining_tables.py.
+"""Puts the measured retrainings into the tables of docs/pool.md: python docs/retraining_tables.py.
 
 The lines in docs/data/retraining.jsonl are those that docs/retraining.py makes. A table stands between the lines
 `<!-- retraining: NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`.
@@ -16,7 +16,7 @@ from benchmarks.__main__ import table
 
 DOCS = Path(__file__).parent
 LINES = DOCS / "data" / "retraining.jsonl"
-PAGE = DOCS / "repair.md"
+PAGE = DOCS / "pool.md"
 PLACE = re.compile(r"(?<=<!-- retraining: )([\w-]+) -->\n.*?(?=<!-- end -->)", re.DOTALL)
 FRESH = 2000  # number of uniformly drawn scenarios in which each policy is measured
 GIVEN = "given"  # stands for the policy before it is trained further

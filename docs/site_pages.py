@@ -12,13 +12,22 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 from nbconvert import MarkdownExporter
+from traitlets.config import Config
 
 import behavexplor
+from behavexplor.report.reading import read_run
+from behavexplor.report.run_page import page as report
 
 ROOT = Path(__file__).parent.parent
 BESIDE_DOCS = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 LINK = re.compile(r"(?<=\]\()(?!\w+:|#)[^)#\s]+")
-BUDGET = 150  # executions of the gallery's campaign
+POLICIES = ROOT / "docs" / "data" / "policies"
+GALLERY = (  # driver, environment and number of executions of the gallery's campaigns
+    ("rule", "intersection-straight", 150),
+    (str(POLICIES / "highway-fast.zip"), "highway-fast-v0", 400),
+    (str(POLICIES / "roundabout.zip"), "roundabout-v0", 100),
+)
+MOST_SHOWN = 6  # classes of each campaign
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -67,32 +76,40 @@ def sources() -> set[str]:
 
 def notebook(path: str) -> str:
     """Return a notebook as a page."""
-    text, _ = MarkdownExporter().from_filename(str(ROOT / path))
+    exporter = MarkdownExporter(
+        config=Config({"ExtractOutputPreprocessor": {"enabled": False}})
+    )  # pictures in the page
+    text, _ = exporter.from_filename(str(ROOT / path))
+    text = text.replace("![png](", "![The decisive moment of an execution, seen from above](")
     return f"{text}\n[This page as a notebook]({posixpath.basename(path)})\n"
 
 
 def gallery() -> Iterator[tuple[str, str | bytes]]:
-    """Run a small campaign, and yield the files that show its failures: pictures, the report, and a page."""
-    cards = ""
+    """Run small campaigns, and yield the files that show their failures: pictures, the report, and a page."""
+    sections, runs = "", []
     with tempfile.TemporaryDirectory() as folder:
-        run = behavexplor.find_failures("rule", "intersection-straight", budget=BUDGET, out=f"{folder}/run")
-        found = run.summary
-        for one in found.classes:
-            picture = BytesIO()
-            run.replay(one.first).picture.save(picture, "png", optimize=True)
-            yield f"gallery/{one.first}.png", picture.getvalue()
-            play = f"gallery/report.html#1/{one.id}/{one.first}"
-            cards += (
-                f"\n## {one.words}\n\n"
-                f"Failures: {one.count}, the first in execution {one.first}. [Play it]({play}).\n\n"
-                f"[![Execution {one.first}](gallery/{one.first}.png)]({play})\n"
-            )
-        yield "gallery/report.html", run.report().read_text()
+        for number, (driver, env, budget) in enumerate(GALLERY, 1):
+            run = behavexplor.find_failures(driver, env, budget=budget, confirm=False, out=f"{folder}/{number}-{env}")
+            runs.append(read_run(run.folder))
+            found = run.summary
+            sections += f"\n## {Path(found.ads).name} in {env}\n\n{found.executions} executions, {found.words}.\n"
+            for one in found.classes[:MOST_SHOWN]:
+                picture = BytesIO()
+                run.replay(one.first).picture.save(picture, "png", optimize=True)
+                name = f"gallery/{number}-{one.first}.png"
+                yield name, picture.getvalue()
+                play = f"gallery/report.html#{number}/{one.id}/{one.first}"
+                sections += (
+                    f"\n### {one.words}\n\n"
+                    f"Failures: {one.count}, the first in execution {one.first}. [Play it]({play}).\n\n"
+                    f"[![{one.words}, seen from above]({name})]({play})\n"
+                )
+        yield "gallery/report.html", report(runs, 100)
     yield (
         "gallery.md",
         "# Gallery of failures\n\n"
-        f"When this site was built, the planner `{found.ads}` drove {found.executions} scenarios of `{found.env}`. It "
-        f"failed in {found.failed}, which are of {len(found.classes)} classes. This page shows the decisive moment "
-        "of the first failure of each class. A picture leads to the [report](gallery/report.html), which plays this "
-        f"failure and others, step by step if you like.\n{cards}",
+        "What some drivers did when this site was built: the planner of this package, and two policies that were "
+        "trained with PPO in highway-env's environments. This page shows the decisive moment of the first failure of "
+        f"each class, of at most {MOST_SHOWN} classes of each driver. A picture leads to the "
+        f"[report](gallery/report.html), which plays this failure and others, step by step if you like.\n{sections}",
     )

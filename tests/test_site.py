@@ -1,5 +1,7 @@
 """The documentation site shows every page, builds without a warning, has no dead link, and fetches nothing."""
 
+import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,6 +15,7 @@ import yaml
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 MADE = {"index.md", "contributing.md", "changelog.md", "gallery.md"}  # pages that are not in docs/
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 LOADED = {"img", "script", "iframe", "link", "source"}  # elements whose targets a browser fetches with the page
 
 
@@ -59,12 +62,14 @@ class Page(HTMLParser):
 
     def __init__(self, path):
         super().__init__()
-        self.ids, self.targets, self.loaded = set(), set(), set()
+        self.ids, self.targets, self.loaded, self.texts = set(), set(), set(), []
         self.feed(path.read_text())
 
     def handle_starttag(self, tag, attrs):
         values = dict(attrs)
         self.ids.add(values.get("id"))
+        if tag == "img":
+            self.texts.append(values.get("alt") or "")
         target = values.get("src") or values.get("href")
         if target and tag == "a":
             self.targets.add(target)
@@ -110,8 +115,20 @@ def test_the_site_has_the_interface_and_a_gallery_whose_failures_can_be_played(s
     pages = {path.name: (path, page) for path, page in site.items() if path.parent.name != "environments"}
     assert {"behavexplor.find_failures", "behavexplor.Run.replay"} <= pages["interface.html"][1].ids
     path, gallery = pages["gallery.html"]
-    played = {target for target in gallery.targets if target.startswith("gallery/report.html#1/R")}
+    played = {target for target in gallery.targets if re.match(r"gallery/report.html#\d/R", target)}
     report = (path.parent / "gallery" / "report.html").read_text()
     assert len(played) >= 5
+    assert {target.split("#")[1][0] for target in played} == {"1", "2", "3"}  # the planner and both policies fail
     for target in played:
-        assert f'"{target.split("#1/")[1].rpartition("/")[0]}"' in report
+        assert f'"{target.split("#")[1][2:].rpartition("/")[0]}"' in report
+    assert not [text for text in gallery.texts if not text.endswith("seen from above")]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium")
+def test_the_site_has_a_search_from_a_disk(site):
+    index = next(path for path in site if path.name == "index.html" and (path.parent / "search").is_dir())
+    quiet = ["--headless=new", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=20000", "--dump-dom"]
+    command = [BROWSER, *quiet, f"{index.as_uri()}?q=niching"]
+    found = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
+    assert re.search(r"\d+ matching documents", found)

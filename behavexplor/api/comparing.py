@@ -91,7 +91,7 @@ class Comparison:
             InputError: if the number of replays is out of range, or the page cannot be written.
         """
         runs = [read_run(run.folder) for run in (self.first, self.second)]
-        text = page(runs, replays, (COLUMNS, rows(self.pairs)))
+        text = page(runs, replays, self.pairs)
         return written(self.folder / PAGE if path is None else Path(path), text)
 
     def __repr__(self) -> str:

@@ -384,20 +384,18 @@ class Run:
 
     def __repr__(self) -> str:
         found = self.summary
-        counts = f"{found.executions} executions, {found.failed} failed in {len(found.classes)} classes"
-        return f"<Run {self.folder}: {counts}>"
+        return f"<Run {self.folder}: {found.executions} executions, {found.words}>"
 
     def _repr_html_(self) -> str:
         found = self.summary
         head = f"{found.ads} in {found.env}, {found.method}, seed {found.seed}"
         rows = "".join(
-            f"<tr><td>{escape(one.words)}</td><td>{one.count}</td><td>{one.at_fault}</td><td>{one.first}</td></tr>"
-            for one in found.classes
+            f"<tr><td>{escape(one.words)}</td><td>{one.count}</td><td>{one.first}</td></tr>" for one in found.classes
         )
         return (
-            f"<p><b>{escape(head)}</b>: {found.executions} executions, {found.failed} failed "
-            f"({found.failure_rate:.1%}), {found.at_fault} at fault<br><code>{escape(str(self.folder))}</code></p>"
-            f"<table><tr><th>class of failures</th><th>count</th><th>at fault</th><th>first</th></tr>{rows}</table>"
+            f"<p><b>{escape(head)}</b>: {found.executions} executions, "
+            f"{escape(found.words)}<br><code>{escape(str(self.folder))}</code></p>"
+            f"<table><tr><th>class of failures</th><th>count</th><th>first</th></tr>{rows}</table>"
         )
 
 

@@ -243,6 +243,7 @@ class Curve:
     method: str  # name of the search method in the experiment
     executions: tuple[int, ...]  # numbers of executions, increasing up to the budget
     found: tuple[Estimate, ...]  # estimates of the count, one for each number of executions
+    ends: tuple[float, ...]  # the count of each campaign at the end
 
 
 def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
@@ -255,7 +256,13 @@ def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
         for group in groups
     }
     return [
-        Curve(name, *group, at, tuple(mean(found, figure) for found in early[group]))
+        Curve(
+            name,
+            *group,
+            at,
+            tuple(mean(found, figure) for found in early[group]),
+            tuple(float(figure(one)) for one in early[group][-1]),
+        )
         for _, name, figure in compared_figures(summaries)
         for group in groups
     ]

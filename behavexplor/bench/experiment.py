@@ -190,6 +190,10 @@ def experiment_config(values: Mapping[str, Any]) -> Experiment:
     if not isinstance(methods, Mapping) or not methods:
         raise InputError("methods of the experiment must name the methods, such as `Uniform: {method: uniform}`")
     choices = {str(name): _choice(str(name), entry) for name, entry in methods.items()}
+    known = [entry.name for entry in fields(Experiment)] + ["envs"]
+    for key in values:
+        if key not in known:
+            raise unknown_name("key of the experiment", str(key), known)
     others = {key: value for key, value in values.items() if key != "envs"}
     return checked(Experiment, {**others, "ads": _systems(values), "methods": choices}, "experiment")
 

@@ -59,6 +59,13 @@ class RunSummary:
     not_confirmed: tuple[str, ...] = ()
 
     @property
+    def words(self) -> str:
+        """What has failed, in words."""
+        kinds = f"{len(self.classes)} class{'' if len(self.classes) == 1 else 'es'}"
+        others = of_others(self.failed - self.at_fault)
+        return f"{self.failed} failed ({self.failure_rate:.1%}) in {kinds}{others}"
+
+    @property
     def failure_rate(self) -> float:
         """Share of the executions that failed; 0 without executions."""
         return self.failed / max(self.executions, 1)
@@ -128,6 +135,11 @@ def by_class(records: Iterable[Record]) -> dict[str, list[Record]]:
         if record.violation_class is not None:
             groups.setdefault(record.violation_class, []).append(record)
     return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0].id)))
+
+
+def of_others(count: int) -> str:
+    """Return how many failures were another vehicle's fault, in words. Of the others, `triage` tells it."""
+    return f", {count} of them by another vehicle's fault" if count else ""
 
 
 def snippet(run: Path | str, number: int | str) -> str:

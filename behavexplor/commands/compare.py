@@ -215,7 +215,7 @@ def values(pairs: Sequence[Pairs]) -> list[dict[str, Any]]:
 def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
     """Write the paired statistics as JSON, and the page."""
     runs = [read_run(place / name) for place in pages for name in (pair_campaigns.FIRST, pair_campaigns.SECOND)]
-    text = page(runs, _REPLAYS, (COLUMNS, rows(pairs)))
+    text = page(runs, _REPLAYS, pairs)
     try:
         write_durably(folder / TABLE, json.dumps(values(pairs), indent=1) + "\n")
         write_durably(folder / pair_campaigns.PAGE, text)

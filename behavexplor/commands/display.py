@@ -18,6 +18,7 @@ from behavexplor.api.observers import PlainConsole
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.confirmation import known, not_confirmed
 from behavexplor.campaign.progress import Progress
+from behavexplor.campaign.run_summary import of_others
 from behavexplor.campaign.store import Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
 from behavexplor.commands.wording import class_count, clock, hanging
@@ -138,7 +139,7 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
             command,
         ]
         return "\n".join(lines)
-    classes = f"{class_count(len(progress.classes))}{_of_others(progress)}"
+    classes = f"{class_count(len(progress.classes))}{of_others(progress.failed - progress.at_fault)}"
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}) in {classes}"
     lines += [hanging("", f"{failed}. {own}"), "Each failure is counted under its most severe type:"]
     width = max(12, *map(len, progress.violations))
@@ -154,12 +155,6 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
     lines += ["Drive it in a loop of your own (replay shows the loop):"]
     lines += [f"env = behavexplor.open_run({str(store.folder)!r}).env({first})"]
     return "\n".join(lines)
-
-
-def _of_others(progress: Progress) -> str:
-    """Return how many failures were another vehicle's fault, in words. Of the others, `triage` tells it."""
-    count = progress.failed - progress.at_fault
-    return f", {count} of them by another vehicle's fault" if count else ""
 
 
 def _errors(progress: Progress, store: Store) -> list[str]:

@@ -122,7 +122,7 @@ def _say_rates(
     own = next(iter(found.values()))
     say(table(config.env, found), file=output)
     if DRAWN in found:
-        say(_gap(own, found[DRAWN]), file=output)
+        say(hanging("", _gap(own, found[DRAWN])), file=output)
     if own.counts.get(ERROR):
         kept = "the run of the failures has its messages" if folder else "--out FOLDER keeps them with its messages"
         scenarios = counted(own.counts[ERROR], "scenario")
@@ -238,7 +238,7 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
         return "With drawn actions, as in training, no rate differs significantly (Fisher's exact test, 1 %)."
     return (
         f"With drawn actions, as in training, these rates differ significantly (Fisher's exact test, 1 %): "
-        f"{', '.join(differing)}.\n"
+        f"{', '.join(differing)}. "
         "The policy was trained with drawn actions: to test it as it drove then, use --stochastic."
     )
 

@@ -8,7 +8,7 @@ from behavexplor.campaign.store import last_written
 from behavexplor.commands import OK
 from behavexplor.commands.flags import RunFolder
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
-from behavexplor.commands.wording import class_count, clock, hanging, say
+from behavexplor.commands.wording import clock, hanging, say
 
 
 def status(run: RunFolder, *, json_file: JsonFile = None) -> int:
@@ -33,8 +33,7 @@ def _head(found: RunSummary, *, is_running: bool, ago: float) -> str:
         f"{found.ads} in {found.env}, {found.method}, seed {found.seed}: {state}, last written {clock(ago)} ago",
         f"{found.executions} executions of a budget of {found.budget}, in {clock(found.elapsed)} "
         f"({found.rate:.1f} per second)",
-        f"{found.failed} failed ({found.failure_rate:.1%}) in {class_count(len(found.classes))}, "
-        f"{found.at_fault} at fault",
+        found.words,
     )
     return "\n".join(hanging("", line) for line in lines)
 

@@ -14,7 +14,7 @@ import numpy as np
 from behavexplor.data.conventions import STANDING_SPEED, is_rear_end, wrapped
 from behavexplor.data.geometry import box_corners, box_distance, project_on_polyline
 from behavexplor.data.trace import Trace
-from behavexplor.judge.lanes import had_crashed, is_told_by_lanes, lane_change
+from behavexplor.judge.lanes import had_crashed, has_entered_ring, is_told_by_lanes, lane_change
 from behavexplor.judge.specs import Collision, Destination
 
 Fault = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "npc_wreck", "other"]
@@ -59,8 +59,8 @@ def contact_fault(trace: Trace) -> Fault | None:
 
     The verdicts are checked in this order:
 
-    - `ego_cut_in`: a faster vehicle hit the ego from behind during a lane change of the ego, or within `CUT_IN_TIME`
-      after it. This is the ego's fault.
+    - `ego_cut_in`: a faster vehicle hit the ego from behind while the ego changed lanes or entered a roundabout, or
+      within `CUT_IN_TIME` after it. This is the ego's fault.
     - `npc_rear_end`: a faster vehicle with about the same heading hit the ego from behind.
     - `struck_stationary`: the ego was standing.
     - `npc_wreck`: the vehicle had crashed before.
@@ -115,11 +115,12 @@ def _struck_from_behind(trace: Trace, npc: int) -> bool:
 def _changed_lanes(trace: Trace) -> bool:
     """Return whether the ego moved across its route in the last `CUT_IN_TIME`.
 
-    In a highway-env environment, it must have changed lanes, and must not stand.
+    In a highway-env environment, it must have changed lanes or entered a roundabout, and must not stand.
     """
     if is_told_by_lanes(trace):
         is_standing = math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED
-        return bool(lane_change(trace, len(trace.time) - 1, CUT_IN_TIME)) and not is_standing
+        when = len(trace.time) - 1, CUT_IN_TIME
+        return not is_standing and (bool(lane_change(trace, *when)) or has_entered_ring(trace, *when))
     recent = trace.time >= trace.time[-1] - CUT_IN_TIME
     _, along = project_on_polyline(trace.position[recent, 0], trace.route)
     velocity = trace.velocity[recent, 0]

@@ -50,6 +50,11 @@ def lane_change(trace: Trace, frame: int, seconds: float) -> str:
     return "right" if sides[-1] > 0 else "left"
 
 
+def has_entered_ring(trace: Trace, frame: int, seconds: float) -> bool:
+    """Return whether the ego entered a roundabout in the last `seconds` [s]."""
+    return bool((trace.signals[WAY][_since(trace, frame, seconds)] == WAYS.index("entering-the-ring")).any())
+
+
 def maneuver(trace: Trace, frame: int, after: float) -> str:
     """Return what the ego did in the last `BEFORE` up to a frame in a highway-env environment.
 

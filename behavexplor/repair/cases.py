@@ -183,17 +183,15 @@ class Suite:
 
 
 def check_free(folder: Path) -> None:
-    """Check that a suite in a folder would replace nothing.
+    """Check that a folder is new or empty, so that a suite replaces nothing and mixes with nothing.
 
     Raises:
-        InputError: if the folder already has a file that a suite would have.
+        InputError: if the folder is not.
     """
     try:
         check_no_file(folder)
-        if (folder / SUITE).exists() or ((folder / CASES).is_dir() and any((folder / CASES).iterdir())):
-            raise InputError(f"{folder} already has a suite: give another --out, or delete it")
-        if (folder / TEST).exists():
-            raise InputError(f"{folder} already has a {TEST}, which a suite would replace: give another --out")
+        if folder.is_dir() and any(folder.iterdir()):
+            raise InputError(f"{folder} is not empty: choose another folder for the suite")
     except OSError as error:
         raise InputError(f"{folder} cannot be used: {error.strerror}") from None
 

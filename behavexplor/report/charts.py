@@ -56,7 +56,8 @@ def chart(title: str, series: Sequence[Series]) -> Chart | None:
     x_end = max(1.0, *(float(line.x.max()) for line in given))
     y_end = max(float(np.nanmax(line.y)) for line in given)
     y_start = min(0.0, *(float(np.nanmin(line.y)) for line in given))
-    y_marks = ticks(y_start, y_end)
+    values = np.concatenate([line.y[np.isfinite(line.y)] for line in given])
+    y_marks = ticks(y_start, y_end, whole=bool((values == np.rint(values)).all()))
     y_start, y_end = min(y_start, y_marks[0]), max(y_end, y_marks[-1])
     across = Scale(0.0, x_end, LEFT, WIDTH - RIGHT)
     up = Scale(y_start, y_end, HEIGHT - BOTTOM, TOP)
@@ -84,11 +85,15 @@ class Scale:
         return round(self.first + share * (self.last - self.first), 1)
 
 
-def ticks(start: float, end: float, most: int = 5) -> list[float]:
-    """Return ticks that span a range of values; their distance is 1, 2 or 5 times a power of ten."""
+def ticks(start: float, end: float, most: int = 5, *, whole: bool = False) -> list[float]:
+    """Return ticks that span a range of values; their distance is 1, 2 or 5 times a power of ten.
+
+    Between ticks of `whole` values, it is at least 1.
+    """
     span = (end - start) or 1.0
     power = 10.0 ** math.floor(math.log10(span / most))
     step = next(factor * power for factor in (1, 2, 5, 10) if factor * power * most >= span * (1 - 1e-9))
+    step = max(step, 1.0) if whole else step
     first, last = math.floor(start / step + 1e-9), math.ceil(end / step - 1e-9)
     return [round(i * step, 12) for i in range(first, max(last, first + 1) + 1)]
 

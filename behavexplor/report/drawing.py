@@ -22,8 +22,9 @@ from behavexplor.report.road_shapes import line_kinds
 
 _Number = TypeVar("_Number", bound=np.generic)
 
-SIDE = 600  # width and height of a picture [px]
-VIEW = 80.0  # side of the square around the ego that a picture shows [m]
+SIDE = 600  # width of a picture, and its greatest height [px]
+VIEW = 80.0  # width of the region around the ego that a picture shows [m]
+MARGIN = 8.0  # least height of what is shown above and below the road; text is at the top [m]
 MAX_FRAMES = 300  # greatest number of frames of an animation; longer episodes run faster
 FRAME_TIME = 0.1  # time between two pictures of an animation [s]
 
@@ -49,6 +50,16 @@ class Footage:
     def event(self) -> ViolationEvent | None:
         """The violation that is marked."""
         return violation_event(self.trace, self.violated)
+
+    @cached_property
+    def height(self) -> int:
+        """Height of a picture [px], in which the road is seen at its full width from wherever the ego is."""
+        if not self.shape.surfaces:
+            return SIDE
+        across = np.concatenate([surface[:, 1] for surface in self.shape.surfaces])
+        ego = self.trace.position[:, 0, 1]
+        reach = max(float(across.max() - ego.min()), float(ego.max() - across.min())) + MARGIN
+        return min(SIDE, 2 * round(reach * SIDE / VIEW))
 
     def color(self, vehicle: int) -> Color:
         """Return the color of a vehicle, as on the pages; 0 is the ego."""
@@ -108,19 +119,20 @@ def _most_pictures(footage: Footage) -> int:
 def _palette(pictures: list[Image.Image]) -> Image.Image:
     """Return one palette for all pictures, from a sample of them and all colors of the pages."""
     sample = pictures[:: max(1, len(pictures) // 4)]
-    sheet = Image.new("RGB", (SIDE, SIDE * len(sample)))
+    height = pictures[0].height
+    sheet = Image.new("RGB", (SIDE, height * len(sample)))
     for i, picture in enumerate(sample):
-        sheet.paste(picture, (0, SIDE * i))
+        sheet.paste(picture, (0, height * i))
     swatch = SIDE // len(page_colors())
     for i, color in enumerate(page_colors().values()):
-        sheet.paste(color, (swatch * i, 0, swatch * (i + 1), swatch))
+        sheet.paste(color, (swatch * i, 0, swatch * (i + 1), min(swatch, height)))
     return sheet.quantize(colors=255)
 
 
 def draw(footage: Footage, frame: int) -> Image.Image:
     """Draw one frame: the road, the illegal lines, the vehicles' paths, the vehicles, and a circle at a violation."""
     trace, shape, colors = footage.trace, footage.shape, page_colors()
-    canvas = _Canvas(trace.position[frame, 0])
+    canvas = _Canvas(trace.position[frame, 0], footage.height)
     canvas.road(shape, trace)
     canvas.path(_thinned(trace.route, _PATH_POINTS // 4), colors["accent"], 0.25)
     if not trace.signals or ARRIVED in trace.signals:
@@ -159,11 +171,12 @@ def _thinned(points: NDArray[_Number], most: int) -> NDArray[_Number]:
 class _Canvas:
     """A picture of the world around a point."""
 
-    def __init__(self, middle: Floats) -> None:
-        self._scale = SIDE * _SHARPNESS / VIEW
-        self._origin = middle - VIEW / 2
+    def __init__(self, middle: Floats, height: int) -> None:
+        self._scale, self._size = SIDE * _SHARPNESS / VIEW, (SIDE, height)
+        self._view = np.array(self._size) * VIEW / SIDE
+        self._origin = middle - self._view / 2
         self._colors = page_colors()
-        self._image = Image.new("RGB", (SIDE * _SHARPNESS,) * 2, self._colors["ground"])
+        self._image = Image.new("RGB", (SIDE * _SHARPNESS, height * _SHARPNESS), self._colors["ground"])
         self._draw = ImageDraw.Draw(self._image)
 
     def _pixels(self, points: Floats) -> list[tuple[float, float]]:
@@ -176,7 +189,7 @@ class _Canvas:
         """Draw the lanes, and the lines between and beside them."""
         for surface in shape.surfaces:
             self._draw.polygon(self._pixels(surface), fill=self._colors["road"])
-        for dash in shape.dashes(self._origin, self._origin + VIEW):
+        for dash in shape.dashes(self._origin, self._origin + self._view):
             self.path(dash, self._colors["dash"], 0.15)
         for border in shape.borders:
             self._illegal_line(border, CURB)
@@ -217,7 +230,7 @@ class _Canvas:
 
     def finished(self, title: str, caption: str) -> Image.Image:
         """Return the picture in its final size, with text."""
-        picture = self._image.resize((SIDE, SIDE), Image.Resampling.LANCZOS)
+        picture = self._image.resize(self._size, Image.Resampling.LANCZOS)
         pen = ImageDraw.Draw(picture)
         pen.rectangle([0, 0, SIDE, 48], fill=self._colors["paper"])
         pen.text((12, 5), title, fill=self._colors["ink"], font=ImageFont.load_default(18))

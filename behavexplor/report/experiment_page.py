@@ -29,6 +29,7 @@ class Bar:
     low: float  # position of the lower end of the interval
     high: float  # position of the upper end of the interval
     text: str  # mean and interval as text
+    dots: tuple[float, ...]  # positions of the single campaigns
 
 
 @dataclass(frozen=True)
@@ -68,25 +69,33 @@ def _figures(experiment: Experiment, curves: Sequence[Curve]) -> list[dict[str, 
     return [
         {
             "name": name,
-            "bars": [bars(place, group) for place, group in places.items()],
+            "bars": [
+                bars(place, group, _marks([curve for one in places.values() for curve in one]))
+                for place, group in places.items()
+            ],
             "charts": [drawn for place, group in places.items() if (drawn := _lines(place, group, styles))],
         }
         for name, places in panels.items()
     ]
 
 
-def bars(title: str, curves: Sequence[Curve]) -> Bars:
-    """Return the chart of each method's final count with its interval."""
-    ends = [(curve.method, curve.found[-1]) for curve in curves]
-    values = [value for _, end in ends for value in (end.mean, *_interval(end))]
-    marks = ticks(min(0.0, *values), max(1.0, *values))
+def _marks(curves: Sequence[Curve]) -> list[float]:
+    """Return the marks of one axis for the final counts of all environments."""
+    values = [value for curve in curves for value in (*_interval(curve.found[-1]), *curve.ends)]
+    return ticks(min(0.0, *values), max(1.0, *values))
+
+
+def bars(title: str, curves: Sequence[Curve], marks: Sequence[float]) -> Bars:
+    """Return the chart of each method's final count, with its interval and the single campaigns, on a marked axis."""
     across = Scale(marks[0], marks[-1], LEFT, WIDTH - RIGHT)
     made = []
-    for i, (name, end) in enumerate(ends):
+    for i, curve in enumerate(curves):
+        name, end = curve.method, curve.found[-1]
         low, high = _interval(end)
         text = f"{end.mean:.1f}" if math.isnan(end.low) else f"{end.mean:.1f} [{end.low:.1f}, {end.high:.1f}]"
-        made.append(Bar(name, TOP + LINE * (i + 0.5), across(end.mean), across(low), across(high), text))
-    height = TOP + LINE * len(ends) + BOTTOM
+        places, dots = (across(end.mean), across(low), across(high)), tuple(map(across, sorted(set(curve.ends))))
+        made.append(Bar(name, TOP + LINE * (i + 0.5), *places, text, dots))
+    height = TOP + LINE * len(curves) + BOTTOM
     return Bars(title, tuple(made), tuple((across(mark), f"{mark:g}") for mark in marks), height)
 
 

@@ -22,6 +22,12 @@
   };
   readColors();
 
+  for (const run of data.runs) { // a road along x is flat; its pictures are lower
+    let [low, high] = [Infinity, -Infinity];
+    for (const [, y] of run.road.lanes.flat()) [low, high] = [Math.min(low, y), Math.max(high, y)];
+    run.flat = high >= low && high - low < VIEW / 2;
+  }
+
   async function unpack(replay) {
     const bytes = Uint8Array.from(atob(replay.data), (c) => c.charCodeAt(0));
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -63,7 +69,9 @@
       this.output = this.box.querySelector(".time");
       this.pick = card.querySelector(".pick");
       this.speed = this.box.querySelector(".speed");
+      card.classList.toggle("flat", this.run.flat);
       this.follow = true;
+      this.peers = [this]; // the players that play together
       this.playing = false;
       this.now = 0;
       this.listen();
@@ -78,10 +86,9 @@
       });
       this.box.querySelector(".moment").addEventListener("click", () => this.jump());
       this.scrub.addEventListener("input", () => {
-        this.pause();
-        this.seek(this.motion ? this.motion.time[this.scrub.value] : 0);
+        this.seekAll(this.motion ? this.motion.time[this.scrub.value] : 0);
       });
-      this.pick.addEventListener("change", () => this.load(this.pick.value));
+      this.pick?.addEventListener("change", () => this.load(this.pick.value));
       this.canvas.addEventListener("click", () => this.toggle());
       this.card.addEventListener("keydown", (event) => this.key(event));
       new ResizeObserver(() => this.draw()).observe(this.canvas);
@@ -93,8 +100,8 @@
         " ": () => this.toggle(),
         ArrowLeft: () => this.step(-1),
         ArrowRight: () => this.step(1),
-        Home: () => this.seek(0),
-        End: () => this.seek(Infinity),
+        Home: () => this.seekAll(0),
+        End: () => this.seekAll(Infinity),
         f: () => this.turnView(),
         v: () => this.jump(),
       };
@@ -107,7 +114,7 @@
     async load(id) {
       this.pause();
       this.replay = this.run.replays[id];
-      this.pick.value = id;
+      if (this.pick) this.pick.value = id;
       this.motion = null;
       try {
         const motion = await unpack(this.replay);
@@ -120,7 +127,13 @@
       this.canvas.setAttribute("aria-label", this.canvas.getAttribute("aria-label").replace(/execution \d+/, `execution ${id}`));
       this.scrub.max = this.replay.frames - 1;
       this.bounds = this.measured();
-      this.seek(this.motion.time[this.replay.moment]);
+      this.meet();
+    }
+
+    meet() { // two drivers are shown at the same time, that of the earlier moment
+      const loaded = this.peers.filter((peer) => peer.motion);
+      const moment = Math.min(...loaded.map((peer) => peer.motion.time[peer.replay.moment]));
+      for (const peer of loaded) peer.seek(moment);
     }
 
     measured() { // the area that all vehicles cover during the replay
@@ -169,13 +182,21 @@
 
     step(count) {
       if (!this.motion) return;
-      this.pause();
       const i = Math.min(Math.max(this.frame(this.now) + count, 0), this.replay.frames - 1);
-      this.seek(this.motion.time[i]);
+      this.seekAll(this.motion.time[i]);
     }
 
     jump() {
-      if (this.motion) this.seek(this.motion.time[this.replay.moment] - BEFORE);
+      if (!this.motion) return;
+      this.meet();
+      for (const peer of this.peers) peer.seek(this.now - BEFORE);
+    }
+
+    seekAll(time) {
+      for (const peer of this.peers) {
+        peer.pause();
+        peer.seek(time);
+      }
     }
 
     turnView() {
@@ -184,7 +205,13 @@
       this.draw();
     }
 
-    toggle() { if (this.playing) this.pause(); else this.play(); }
+    toggle() {
+      const { playing, speed } = this;
+      for (const peer of this.peers) {
+        peer.speed.value = speed.value;
+        if (playing) peer.pause(); else peer.play();
+      }
+    }
 
     play() {
       if (!this.motion) return;
@@ -364,6 +391,10 @@
   const cards = [...document.querySelectorAll(".card")];
   const players = new Map();
   for (const card of cards) if (card.querySelector(".player")) players.set(card, new Player(card));
+  for (const pair of document.querySelectorAll(".pair")) {
+    const peers = [...players.values()].filter((player) => pair.contains(player.card));
+    for (const player of peers) player.peers = peers;
+  }
   const first = (player) => player.load(player.box.dataset.replays.split(" ")[0]);
   const near = new IntersectionObserver((entries) => {
     for (const entry of entries) {
@@ -376,7 +407,7 @@
 
   // Filters, one for each run.
   for (const field of document.querySelectorAll(".filter")) {
-    const own = cards.filter((card) => card.dataset.run === field.dataset.run), output = field.querySelector("output");
+    const own = cards.filter((card) => card.dataset.run === field.dataset.run && !card.closest(".pair")), output = field.querySelector("output");
     const filter = () => {
       const words = field.querySelector("input").value.toLowerCase().split(/\s+/);
       for (const card of own) {
@@ -407,6 +438,7 @@
     if (!card) return;
     for (const other of cards) other.classList.toggle("here", other === card);
     card.hidden = false; // whatever the filter says
+    card.closest("details")?.setAttribute("open", "");
     const player = players.get(card);
     if (player && execution && holds(card)) player.load(execution);
     else if (player && !player.replay) first(player);

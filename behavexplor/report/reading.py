@@ -19,7 +19,7 @@ from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.judge.discovery import Discovery
-from behavexplor.judge.fault import AT_FAULT, NOT_AT_FAULT, is_at_fault
+from behavexplor.judge.fault import AT_FAULT, NOT_AT_FAULT, NPC_CAUSED
 from behavexplor.judge.specs import SPECS
 from behavexplor.triage.findings import (
     TRIAGE,
@@ -112,9 +112,9 @@ class ReportedRun:
         faults = [finding.fault for finding in self.findings if finding.id in self.examined]
         return sum(fault in AT_FAULT for fault in faults), sum(fault in NOT_AT_FAULT for fault in faults)
 
-    def at_fault(self) -> list[Finding]:
-        """Return the failures for which the driving system was at fault: by triage, or else by the trace."""
-        return [finding for finding in self.findings if is_at_fault(finding.fault)]
+    def by_others(self) -> int:
+        """Return the number of failures that another vehicle caused, as the traces tell."""
+        return sum(finding.fault in NPC_CAUSED for finding in self.findings)
 
     @property
     def discovery(self) -> Discovery:

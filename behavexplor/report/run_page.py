@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +21,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.judge.specs import SPECS
+from behavexplor.repair.pairs import Pairs
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, StagePart, chart, stage_parts
 from behavexplor.report.gallery import MAX_FRAMES, PASSED, Card, cards, minimal_name, replay_values
@@ -27,6 +29,7 @@ from behavexplor.report.marks import type_color
 from behavexplor.report.reading import ReportedRun
 from behavexplor.report.rendering import rendered
 from behavexplor.report.road_shapes import known_road, road_values
+from behavexplor.report.side_by_side import side_by_side
 from behavexplor.triage.findings import trace_path
 
 PAGE: Final = "report.html"
@@ -35,7 +38,6 @@ MOST_COMPARED: Final = 750  # greatest number of executions on the map of behavi
 MOST_PLACES: Final = 50_000_000  # of vehicles in frames, in all traces of a page
 MOST_STATES: Final = 2_000_000  # of all behaviors on the map
 MOST_SHOWN: Final = 200_000  # places of vehicles in one replay
-Paired = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 _NOT_EXAMINED: Final = "not examined"
 _PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30
@@ -77,6 +79,7 @@ class Section:
 
     number: int  # number of the run in the page, counted from 1
     run: ReportedRun  # the run
+    label: str  # what it is called in the page
     limit: int  # greatest number of replays
     cards: tuple[Card, ...]  # cards of the gallery
     charts: tuple[Chart, ...]  # curves over the executions
@@ -120,23 +123,34 @@ class Section:
     @property
     def parameters(self) -> list[tuple[str, str]]:
         """Names and values of the campaign's configuration."""
-        return [(name, str(value)) for name, value in asdict(self.run.config).items()]
+        return [(name, _value_text(value)) for name, value in asdict(self.run.config).items()]
 
 
-def section(number: int, run: ReportedRun, limit: int) -> Section:
-    """Return the section about a run.
+def _value_text(value: Any) -> str:
+    """Return a value of a configuration as a reader would write it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key}: {_value_text(one)}" for key, one in value.items()) or "none"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return ", ".join(map(_value_text, value)) or "none"
+    return "none" if value in (None, "") else str(value)
+
+
+def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first: Sequence[int] = ()) -> Section:
+    """Return the section about a run, with the replays of the executions that are wanted first.
 
     Raises:
         InputError: if the run is damaged.
     """
     gallery = cards(run, limit)
-    replayed = {name for card in gallery for name in card.replays if isinstance(name, int)}
+    replayed = {*wanted_first, *(name for card in gallery for name in card.replays if isinstance(name, int))}
     classes = [card for card in gallery if card.class_id != PASSED and not card.is_minimal]
     strips = [(card.look_at, card.class_id) for card in classes][:_CLASS_RIBBONS]
     new = [entry.id for entry in run.entries if entry.novel and not entry.violated]
     strips += [(name, PASSED) for name in evenly(new, _PASSED_RIBBONS)]
     compared = evenly([entry.id for entry in run.entries], MOST_COMPARED)
-    wanted = list(dict.fromkeys([*sorted(replayed), *(name for name, _ in strips), *compared]))
+    wanted = list(dict.fromkeys([*wanted_first, *sorted(replayed), *(name for name, _ in strips), *compared]))
     traces, records = _looked_at(run, wanted, replayed)
     strips = [(name, class_id) for name, class_id in strips if name in traces]
     found = behaviors(traces)
@@ -147,9 +161,10 @@ def section(number: int, run: ReportedRun, limit: int) -> Section:
     return Section(
         number=number,
         run=run,
+        label=label,
         limit=limit,
         cards=tuple(shown),
-        charts=curves([run]) + clouds(run),
+        charts=curves([run], [label]) + clouds(run),
         found=found,
         ribbons=tuple(_ribbon(found, name, class_id, longest, name in records) for name, class_id in strips),
         longest=longest * TIME_STEP,
@@ -237,13 +252,13 @@ def _places(run: ReportedRun, found: Behaviors, replayed: Collection[int]) -> tu
     return tuple(sorted(places, key=lambda place: (place.spec != PASSED, place.id)))
 
 
-def curves(runs: Sequence[ReportedRun]) -> tuple[Chart, ...]:
+def curves(runs: Sequence[ReportedRun], labels: Sequence[str]) -> tuple[Chart, ...]:
     """Return the curves of failures, classes and new behaviors over the executions, for one run or several."""
     counts: dict[str, list[Series]] = {"Failures": [], "Classes of violations": [], "New behaviors": []}
-    for index, run in enumerate(runs):
+    for index, (run, label) in enumerate(zip(runs, labels, strict=True)):
         numbers = np.array([entry.id + 1.0 for entry in run.entries])
         for title, steps in zip(counts, _steps(run), strict=True):
-            name = title.lower() if len(runs) == 1 else f"{index + 1} {run.name}"
+            name = title.lower() if len(runs) == 1 else label
             counts[title].append(Series(name, numbers, np.cumsum(steps), style=index))
     charts = (chart(title, series) for title, series in counts.items())
     return tuple(drawn for drawn in charts if drawn is not None)
@@ -297,38 +312,46 @@ _FIGURES: Final[dict[str, Callable[[ReportedRun], str]]] = {  # rows of the comp
     "collision (R1), lines (R2), destination (R3)": lambda run: _by_requirement(run.specs()),
     "classes": lambda run: str(len(run.classes)),
     "first failure": lambda run: str(run.findings[0].id) if run.findings else "none",
-    "failures at fault": lambda run: str(len(run.at_fault())),
-    "classes of failures at fault": lambda run: str(len({finding.class_id for finding in run.at_fault()})),
+    "another vehicle's fault": lambda run: str(run.by_others()),
     "collisions at fault": lambda run: str(run.faults()[0]) if run.examined else _NOT_EXAMINED,
     "did not reproduce": lambda run: str(run.flaky()) if run.examined else _NOT_EXAMINED,
     "new behavior": lambda run: f"{run.novel / len(run.entries):.1%}",
 }
 
 
-def page(runs: Sequence[ReportedRun], replays: int, paired: Paired = ((), ())) -> str:
+def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ()) -> str:
     """Return the report on runs as a page in ASCII. Equal run folders give equal pages.
 
-    `replays` is the greatest number of replays of each run; `paired` has headings and rows of a table on the same
-    scenarios in both runs.
+    `replays` is the greatest number of replays of each run. `pairs` compares the drivers of the first two in the same
+    scenarios; the page then begins with what the second one fixes and breaks.
 
     Raises:
         InputError: if a run is damaged, or the number of replays is out of range.
     """
     if not 0 <= replays <= MOST_REPLAYS:
         raise InputError(f"The number of replays must lie between 0 and {MOST_REPLAYS}, not be {replays}")
-    sections = [section(number, run, replays) for number, run in enumerate(runs, 1)]
-    several = len(runs) > 1
+    several, found = len(runs) > 1, side_by_side(pairs, runs, replays) if pairs else None
+    labels = _labels(runs, are_paired=bool(pairs))
+    first = [found.shown if found and number <= 2 else () for number in range(1, len(runs) + 1)]
+    sections = [section(i, *one) for i, one in enumerate(zip(runs, labels, repeat(replays), first), 1)]
     return rendered(
         "page.html.jinja",
         ("theme.js", "page.js"),
         sections=sections,
         comparison=comparison(runs) if several else (),
-        overlaid=curves(runs) if several else (),
+        overlaid=curves(runs, labels) if several and not pairs else (),
         class_rows=class_rows(runs) if several else (),
-        paired=paired,
+        pairs=found,
         values={"runs": [part.values for part in sections]},
         PASSED=PASSED,
     )
+
+
+def _labels(runs: Sequence[ReportedRun], *, are_paired: bool) -> list[str]:
+    """Return what the runs are called in a page: by their drivers if these are compared, or else by their folders."""
+    if are_paired:
+        return [f"{'AB'[i % 2]}: {run.config.ads}{', searched' if i > 1 else ''}" for i, run in enumerate(runs)]
+    return [run.name if len(runs) == 1 else f"{i} {run.name}" for i, run in enumerate(runs, 1)]
 
 
 def written(path: Path, text: str) -> Path:

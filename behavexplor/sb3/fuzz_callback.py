@@ -196,8 +196,7 @@ class FuzzCallback(BaseCallback):
             self.logger.record(f"fuzz/{name}", value)
         if self.verbose:
             print(  # noqa: T201 - as all verbose callbacks do
-                f"{found.steps} steps: {found.summary.failed} of {found.summary.executions} scenarios failed, "
-                f"{found.summary.at_fault} at fault, in {len(found.summary.classes)} classes"
+                f"{found.steps} steps: of {found.summary.executions} scenarios, {found.summary.words}"
             )
 
 

@@ -52,7 +52,7 @@ def test_a_comparison_shows_itself_and_writes_a_page(compared, tmp_path):
     html = compared._repr_html_()
     assert all(f"<th>{name}</th>" in html for name in COLUMNS)
     assert "A is in-memory:Swerver, B is in-memory:Cruiser" in html
-    assert "The same scenarios with both drivers" in compared.report().read_text()
+    assert "A: in-memory:Swerver and B: in-memory:Cruiser in the same scenarios" in compared.report().read_text()
     assert compared.report(tmp_path / "a.html", replays=0).is_file()
     with pytest.raises(behavexplor.InputError, match="cannot be written"):
         compared.report(tmp_path / "nowhere" / "a.html")

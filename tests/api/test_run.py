@@ -47,7 +47,7 @@ def test_classes_list_their_failures(run):
 
 
 def test_a_run_shows_itself(run):
-    assert f"{run.summary.failed} failed in" in repr(run)
+    assert f"{run.summary.failed} failed (" in repr(run)
     html = run._repr_html_()
     assert all(one.words.replace("'", "&#x27;") in html for one in run.summary.classes)
 

@@ -93,10 +93,10 @@ def in_ring(lane):
 
 
 def ways(seen, seconds):
-    """What the ego did on its roads: the lane at which it aims, in the order in which it did it."""
+    """What the ego did on its roads, in order: the lane at which it aims, but before a junction the one it is on."""
     said = []
     for one in recent(seen, seconds):
-        origin, target, _ = one["target"]
+        origin, target, _ = one["lane"] if one["lane"][0] in ("o0", "o1", "o2", "o3") else one["target"]
         if origin in RING or target in RING:
             said.append("driving-in" if in_ring(one["target"]) else "entering" if target in RING else "leaving")
         elif origin[:2] == "ir":
@@ -190,14 +190,20 @@ def is_true_fault(seen, fault):
     history = [frame[key] for frame in seen["frames"] if key in frame]
     ego = seen["frames"][-1][seen["ego"]]
     if fault == "ego_cut_in":
-        return bool(side_of_change(seen, 3.0)) and ego["speed"] >= STANDING
+        return has_cut_in(seen) and ego["speed"] >= STANDING
     if fault == "struck_stationary":
         return ego["speed"] < STANDING
     if fault == "npc_wreck":
         return any(one["crashed"] for one in history[:-1])
     x, y = (b - a for a, b in zip(ego["position"], history[-1]["position"], strict=True))
     is_behind = x * math.cos(ego["heading"]) + y * math.sin(ego["heading"]) < 0
-    return is_behind and history[-1]["speed"] > ego["speed"] if fault == "npc_rear_end" else True
+    if fault != "npc_rear_end":
+        return True
+    return is_behind and history[-1]["speed"] > ego["speed"] and (ego["speed"] < STANDING or not has_cut_in(seen))
+
+
+def has_cut_in(seen):
+    return bool(side_of_change(seen, 3.0)) or "entering" in ways(seen, 3.0)
 
 
 def untrue_words(seen, class_id, fault):

@@ -143,12 +143,18 @@ def test_an_obstacle_and_a_wreck_are_called_so():
 
 
 @pytest.mark.parametrize(
-    ("changed_at", "speed", "fault"),
-    [((2.0, 1.5), 5.0, "ego_cut_in"), ((), 5.0, "npc_rear_end"), ((2.0, 1.5), 0.0, "npc_rear_end")],
+    ("changed_at", "way", "speed", "fault"),
+    [
+        ((2.0, 1.5), "going-straight", 5.0, "ego_cut_in"),
+        ((), "going-straight", 5.0, "npc_rear_end"),
+        ((2.0, 1.5), "going-straight", 0.0, "npc_rear_end"),
+        ((), "entering-the-ring", 5.0, "ego_cut_in"),
+        ((), "driving-in-the-ring", 5.0, "npc_rear_end"),
+    ],
 )
-def test_only_an_ego_that_changed_lanes_and_drives_has_cut_in(changed_at, speed, fault):
+def test_only_an_ego_that_changed_lanes_or_entered_a_ring_and_drives_has_cut_in(changed_at, way, speed, fault):
     behind = (-5.0 - (14.0 - speed), 0.0, 0.0, 14.0)
-    assert contact_fault(crash(changing=1, changed_at=changed_at, npc=behind, speed=speed)) == fault
+    assert contact_fault(crash(changing=1, changed_at=changed_at, way=way, npc=behind, speed=speed)) == fault
 
 
 def test_an_ego_off_the_road_has_left_it():

@@ -47,6 +47,7 @@ NOT_RUN = {  # shell lines that do not run, or their beginnings up to a space, a
 SLOW = {
     "README.md",
     "docs/experiments.md",
+    "docs/extending.md",
     "docs/highway-env.md",
     "docs/policies.md",
     "docs/python.md",
@@ -107,6 +108,7 @@ POLICIES = Path(behavexplor.ads.learned.__file__).parent / "policies"
 YAML = {  # how the YAML of each page is read
     "docs/ci.md": workflow,
     "docs/experiments.md": experiment,
+    "docs/extending.md": experiment,
     "docs/policies.md": described,
     "docs/python.md": callback,
     "docs/rates.md": lambda text: listed(yaml.safe_load(text)),

@@ -1,6 +1,7 @@
 """The command `compare`, and its search for scenarios in which only one of two drivers fails."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -58,9 +59,21 @@ def test_every_difference_that_the_search_found_is_one_when_it_is_repeated(compa
 
 def test_the_page_has_both_runs_and_the_pairs(compared):
     text = (compared / "comparison.html").read_text()
-    assert "The same scenarios with both drivers" in text
+    assert "A: tests.drivers:Swerver and B: tests.drivers:Cruiser in the same scenarios" in text
     assert "any failure" in text
     assert text.count('class="run"') == 4
+    assert "<h1>first" not in text
+    rows = {row["outcome"]: row for row in json.loads((compared / "comparison.json").read_text())}[AT_FAULT]
+    begins = [
+        text.index(f'<h2 id="{name}">{name.title()} by B: {len(rows[name])}</h2>') for name in ("fixed", "broken")
+    ]
+    assert text.index("<h1") < begins[0] < begins[1] < text.index("How often")
+    first, second = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])["runs"][:2]
+    for number in (*rows["fixed"], *rows["broken"]):
+        assert f"<summary><b>{number}</b> <span>A: " in text
+        assert str(number) in first["replays"]
+        assert str(number) in second["replays"]
+    assert rows["fixed"]
 
 
 def test_a_driver_that_does_not_exist_is_one_sentence(tmp_path, capsys):

@@ -13,6 +13,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 from behavexplor.campaign.store import Store
+from behavexplor.repair.pairs import AT_FAULT, Pairs
 from behavexplor.report.gallery import pack
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
@@ -264,6 +265,28 @@ def test_with_reduced_motion_pictures_follow_each_other_slowly(browser):
     assert 2 <= browser.execute_async_script(script, card.element) <= 5
     smooth = browser.execute_script("return getComputedStyle(document.documentElement).scrollBehavior")
     assert smooth == "auto"
+
+
+def test_two_drivers_play_together_from_the_same_moment(chrome, run, tmp_path):
+    found = read_run(run)
+    numbers = tuple(one.id for one in found.findings[:2])
+    pairs = [Pairs(AT_FAULT, only_first=numbers, only_second=(), both=0, neither=24 - len(numbers))]
+    path = tmp_path / "comparison.html"
+    path.write_text(page([found, found], 10, pairs))
+    chrome.get(path.as_uri())
+    one, other = Card(chrome, 0), Card(chrome, 1)
+    wait(chrome, lambda: one.time == other.time > 0)
+    one.put(0)
+    assert one.time == other.time == 0
+    other.button.click()
+    wait(chrome, lambda: min(one.time, other.time) > 0.5)
+    one.button.click()
+    assert {one.button.get_attribute("aria-label"), other.button.get_attribute("aria-label")} == {"Play"}
+    assert one.time == pytest.approx(other.time, abs=0.2)
+    closed = chrome.find_elements("css selector", ".pair:not([open])")
+    assert len(closed) == 1
+    chrome.get(f"{path.as_uri()}#1/{numbers[1]}")
+    wait(chrome, lambda: closed[0].get_attribute("open"))
 
 
 def test_hostile_names_run_nothing(chrome, browser, evil_run, tmp_path):

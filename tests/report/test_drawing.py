@@ -46,6 +46,20 @@ def test_a_frame_shows_the_road_and_the_vehicles():
     assert middle == PAGE["ego"]
 
 
+def test_a_picture_is_no_higher_than_the_road_needs():
+    """Its whole width is seen, wherever the ego is."""
+    highway = RoadShape((np.array([[-100.0, -2.0], [400.0, -2.0], [400.0, 14.0], [-100.0, 14.0]]),))
+    trace = make_trace(np.stack([np.linspace(0, 50, 11), np.linspace(0.0, 12.0, 11), np.zeros(11)], axis=1))
+    footage = Footage(trace, highway, "")
+    pictures = [draw(footage, frame) for frame in (0, 10)]
+    assert {picture.size for picture in pictures} == {(SIDE, 330)}  # 14 m and the margin, on both sides
+    for picture in pictures:
+        column = [picture.getpixel((SIDE // 2 + 60, y)) for y in range(330)]
+        assert column.index(PAGE["road"]) > 48  # below the text
+        assert column[-1] == PAGE["ground"]
+    assert draw(Footage(trace, RoadShape(()), ""), 0).size == (SIDE, SIDE)
+
+
 def test_a_violation_has_a_circle_from_its_frame_on():
     trace = meeting()
     position = np.array(trace.position)

@@ -9,7 +9,7 @@ from behavexplor.bench.comparisons import curves
 from behavexplor.bench.experiment import experiment_config
 from behavexplor.bench.summaries import Failure, Summary
 from behavexplor.bench.tables import tables
-from behavexplor.report.experiment_page import bars, experiment_page
+from behavexplor.report.experiment_page import _marks, bars, experiment_page
 from tests.report.test_report import plain
 
 METHODS = ("Search", "w/o <it> & \u00e9", "Uniform")
@@ -113,8 +113,13 @@ def test_equal_experiments_have_equal_pages(whole):
 def test_bars_span_the_interval_and_stay_in_the_chart(whole):
     chosen, summaries, _ = whole
     group = [c for c in curves(chosen, summaries) if (c.figure, c.env) == ("failures", "lane-follow")]
-    drawn = bars("failures", group)
-    for bar in drawn.bars:
+    other = [c for c in curves(chosen, summaries) if (c.figure, c.env) == ("failures", "lane-change")]
+    marks = _marks([*group, *other])
+    drawn = bars("failures", group, marks)
+    assert drawn.x_ticks == bars("failures", other, marks).x_ticks
+    for bar, curve in zip(drawn.bars, group, strict=True):
+        assert len(bar.dots) == len(set(curve.ends))
+        assert all(118 <= dot <= 350 for dot in bar.dots)
         assert 118 <= bar.low <= bar.x <= bar.high <= 350
         assert bar.low < bar.high
     assert [bar.name for bar in drawn.bars] == list(METHODS)

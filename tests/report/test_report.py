@@ -358,12 +358,12 @@ LEFT_OUT = "Some are left out here"
 def test_what_is_too_large_for_a_page_is_left_out(run, monkeypatch):
     found = read_run(run)
     assert LEFT_OUT not in page([found], 10)
-    whole = run_page.section(1, found, 10)
+    whole = run_page.section(1, found, "run", 10)
     monkeypatch.setattr(run_page, "MOST_SHOWN", 10)
     without_replays = page([found], 10)
     assert LEFT_OUT in without_replays
     assert "The replay is not in this page" in without_replays
     monkeypatch.setattr(run_page, "MOST_PLACES", 1)
-    least = run_page.section(1, found, 10)
+    least = run_page.section(1, found, "run", 10)
     assert (len(least.places), least.embedded, least.left_out) == (1, 0, True)
     assert (len(whole.places), whole.left_out) == (len(found.entries), False)

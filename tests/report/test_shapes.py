@@ -171,3 +171,10 @@ def test_no_environment_of_others_is_made(name, executions, monkeypatch):
     values = road_values(None, executions[0].load_trace())
     assert values["lanes"] == []
     assert values["lines"]
+
+
+def test_counts_have_whole_ticks():
+    numbers = np.arange(1.0, 4.0)
+    for counts, labels in (([0.0, 1.0, 1.0], ["0", "1"]), ([0.0, 0.5, 1.0], ["0", "0.2", "0.4", "0.6", "0.8", "1"])):
+        drawn = chart("Failures", [Series("failures", numbers, np.array(counts))])
+        assert [label for _, label in drawn.y_ticks] == labels

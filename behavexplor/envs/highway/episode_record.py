@@ -15,7 +15,7 @@ on a two-way road it may overtake. A subclass counts as its parent does.
 
 The lanes say what the ego does, and where the vehicle is into which it crashes. A vehicle's place is the lane that is
 closest to it, or the one at which it aims if that lies on another road: in a junction, the closest lane is often one
-that only crosses.
+that only crosses. A vehicle aims at the next road of its route before it has left its own, and stays there until then.
 """
 
 import math
@@ -146,8 +146,16 @@ def _lanes_across(lane: AbstractLane, following: AbstractLane) -> int:
 
 
 def places(table: LaneTable, lane: Ints, target: Ints) -> Ints:
-    """Return the place of a vehicle in each frame: its lane, or the one at which it aims on another road."""
-    return np.where((target != NO_LANE) & (table.road[target] != table.road[lane]), target, lane)
+    """Return the place of a vehicle in each frame: its lane, or the one at which it aims on another road.
+
+    A vehicle that still is on the road at which it aimed before is not yet there.
+    """
+    aim = np.where(target == NO_LANE, lane, target)
+    road, driven = table.road[aim], table.road[lane]
+    begins = np.append(0, 1 + np.flatnonzero(np.diff(road)))  # of the stretches in which it aims at one road
+    begin = begins[np.searchsorted(begins, np.arange(len(road)), side="right") - 1]
+    is_left = (begin == 0) | (driven != road[begin - 1])
+    return np.where((road != driven) & is_left, aim, lane)
 
 
 def lane_changes(table: LaneTable, lane: Ints, target: Ints) -> Ints:

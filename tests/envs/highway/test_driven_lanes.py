@@ -67,7 +67,16 @@ def test_a_lane_change_lasts_from_the_command_until_the_lane_is_reached():
 def test_a_place_is_the_lane_unless_another_road_is_aimed_at():
     table, index = roads("merge-v0")
     lane, target = index(("a", "b", 0)), index(("b", "c", 1))
-    assert places(table, np.array([lane] * 3), np.array([-1, lane + 1, target])).tolist() == [lane, lane, target]
+    assert places(table, np.array([lane] * 2), np.array([-1, lane + 1])).tolist() == [lane] * 2
+    assert places(table, np.array([lane] * 2), np.array([target] * 2)).tolist() == [target] * 2
+
+
+def test_a_vehicle_that_waits_at_the_end_of_its_road_is_on_it():
+    """highway-env lets it aim at the next road half a vehicle's length before; then a crossing lane is the closest."""
+    table, index = roads("intersection-v0")
+    entry, turn, crossing = (index(lane) for lane in (("o0", "ir0", 0), ("ir0", "il1", 0), ("ir3", "il1", 0)))
+    lane, target = np.array([entry, entry, crossing, turn]), np.array([entry, turn, turn, turn])
+    assert places(table, lane, target).tolist() == [entry, entry, turn, turn]
 
 
 def test_a_partner_is_on_the_way_if_it_also_drives_along_it():
