@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import tyro
 
@@ -128,6 +128,9 @@ def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) 
     return () if logical.roadmap is None else plan_of_map(logical.roadmap), logical
 
 
+_EARLY: Final = "; highway-env may declare it before the boxes touch, and then the time limit stops the scene"
+
+
 class _Scenes:
     """The folder of exported scenes. Executions on the same road share its file."""
 
@@ -158,8 +161,9 @@ class _Scenes:
         follows_script = not logical.has_original
         record = execution.record
         goes_on = trace.duration == 0 or self._is_ego_free
+        early = _EARLY if logical.has_original and record.end == "collision" else ""
         scene = SceneFile(
-            title=f"Execution {execution.id} of {self._config.env}: it {outcome(record.violated, record.end)}",
+            title=f"Execution {execution.id} of {self._config.env}: it {outcome(record.violated, record.end)}{early}",
             environment=self._config.env,
             env_config=(follows_script and self._config.env_config) or {},
             road_file=self._road_file(plan, execution.id),

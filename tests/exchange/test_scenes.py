@@ -66,6 +66,8 @@ def test_scenes_for_carla_are_valid_in_openscenario_1_0(campaign, tmp_path, ego)
     for root in map(etree.parse, paths):
         header = root.find("FileHeader")
         assert (header.get("revMajor"), header.get("revMinor")) == ("1", "0")
+        is_crash = "ended by a collision" in header.get("description")
+        assert ("before the boxes touch" in header.get("description")) == (is_highway(env) and is_crash)
         kinds = {one.get("name"): value(root, one.get("name"), "type") for one in root.iter("ScenarioObject")}
         assert [name for name, kind in kinds.items() if kind.get("value") == "ego_vehicle"] == ["Ego"]
         assert all(one.get("name").startswith("vehicle.") for one in root.iter("Vehicle"))
