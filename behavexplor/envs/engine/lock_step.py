@@ -33,10 +33,12 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
 
     def __init__(self, single: Any, num_envs: int, autoreset_mode: AutoresetMode | str, guard: ChangeGuard) -> None:
         COUNT.check("num_envs", num_envs)
-        self._mode, self._guard = chosen_mode(autoreset_mode), guard
+        mode, self._guard = chosen_mode(autoreset_mode), guard
+        self._resets_same_step = mode is AutoresetMode.SAME_STEP
+        self._resets_next_step = mode is AutoresetMode.NEXT_STEP
         self.num_envs = num_envs
         self.config: dict[str, Any] = single.config
-        self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -83,10 +85,10 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
             raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
         rewards, terminated, truncated, stepped, n_ended = self._decide(np.asarray(actions))
         infos: dict[str, Any] | None = None
-        if self._mode is AutoresetMode.SAME_STEP and n_ended:
+        if n_ended and self._resets_same_step:
             ended = terminated | truncated
             infos = self._last_infos(ended) | self._begin_again(stepped & ~ended, ended)
-        elif self._mode is AutoresetMode.NEXT_STEP and np.count_nonzero(stepped) < self.num_envs:
+        elif self._resets_next_step and np.count_nonzero(stepped) < self.num_envs:
             rested = ~stepped
             terminated[rested] = truncated[rested] = False
             infos = self._begin_again(stepped, rested)

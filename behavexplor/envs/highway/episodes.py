@@ -196,14 +196,16 @@ def _judge(world: World, task: Task, scene: Scene, choice: int, numbers: Floats,
 def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chosen: Bools) -> dict[str, Any]:
     """Return the infos of highway-env's single environments as gymnasium's vector environments collect them.
 
-    The infos consist of parts of the given arrays, in which what is not chosen becomes 0.
+    The infos consist of parts of the numbers and flags, in which what is not chosen becomes 0, and of the actions.
     """
     beside = None if all(chosen.tolist()) else ~chosen
     if beside is not None:
-        numbers[SPEED:, beside] = flags[CRASHED:, beside] = actions[beside] = 0
+        numbers[SPEED:, beside] = flags[CRASHED:, beside] = 0
+        actions = actions.copy()
+        actions[beside] = 0
     rewards: dict[str, Any] = {}
     for k, (name, mask_name, wanted) in enumerate(kind.named_terms):
-        if issubclass(wanted, float):  # also of numpy
+        if wanted is float:
             rewards[name] = numbers[FIRST_TERM + k]
         elif wanted is int:
             rewards[name] = numbers[FIRST_TERM + k].astype(int)

@@ -119,7 +119,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
         self._is_discrete = table is not None
         self._actions = Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
-        self._shown: Array = self._sampled_space.sample()  # the actions that infos show
+        self._taken = self._sampled = self._sampled_space.sample()  # latest actions, and those shown after a reset
         self._is_seeded = np.zeros(num_envs, dtype=bool)
         self._advance_slots = self._compile()
 
@@ -148,15 +148,16 @@ class HighwayVectorEnv(LockStepVectorEnv):
 
     def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools, int]:
         n_ended = self._advance(DECISION, self._everywhere, actions)
-        self._shown = actions.copy()
+        self._taken = actions.copy()
         self._decided = numbers, flags = self._outcome.numbers.copy(), self._outcome.flags.copy()
         return numbers[REWARD], flags[TERMINATED], flags[TRUNCATED], flags[STEPPED], n_ended
 
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
         if begun is None:
-            return infos_of(self._kind, *self._decided, self._shown.copy(), stepped)
-        now = self._outcome.numbers.copy(), self._outcome.flags.copy()
-        return infos_of(self._kind, *now, self._shown.copy(), stepped | begun)
+            return infos_of(self._kind, *self._decided, self._taken, stepped)
+        shown = self._taken.copy()
+        shown[begun] = self._sampled[begun]
+        return infos_of(self._kind, self._outcome.numbers.copy(), self._outcome.flags.copy(), shown, stepped | begun)
 
     def state(self, b: int) -> SlotState:
         """Return a copy of the state of sub-environment b."""
@@ -204,7 +205,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
             self._engine.words[copied] = words  # highway-env has drawn the order of this observation already
         for b, observation in seen.items():
             self._observations[b] = observation
-        self._shown[mask] = actions[mask]
+        self._sampled = actions
 
     def _compile(self) -> Callable[..., int]:
         """Compile the kernel for the types of this environment's arrays, or read it from the cache."""
@@ -214,8 +215,9 @@ class HighwayVectorEnv(LockStepVectorEnv):
     def _advance(self, stage: int, mask: Bools, actions: Array, *, logs_start: bool = False) -> int:
         """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended."""
         self._put(actions)
-        state = (self._engine, self._slots, self._scratch, self._outcome)
-        n_ended = self._advance_slots(*state, mask, self._actions, stage, logs_start)
+        n_ended = self._advance_slots(
+            self._engine, self._slots, self._scratch, self._outcome, mask, self._actions, stage, logs_start
+        )
         if n_ended == REFUSED:
             check_actions(self.action_space, actions)
         if n_ended == FULL:

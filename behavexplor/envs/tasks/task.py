@@ -133,8 +133,9 @@ class TaskKind:
 
     @cached_property
     def named_terms(self) -> tuple[tuple[str, str, type], ...]:
-        """Name, name of the mask and type of each term in infos."""
-        return tuple((name, f"_{name}", wanted) for name, (_, wanted) in self.terms.items())
+        """Name, name of the mask and type of each term in infos, where numpy's numbers count as floats."""
+        kinds = {name: float if issubclass(wanted, float) else wanted for name, (_, wanted) in self.terms.items()}
+        return tuple((name, f"_{name}", wanted) for name, wanted in kinds.items())
 
     def normalizes(self, config: Config) -> bool:
         """Return whether rewards are mapped to [0, 1]."""
