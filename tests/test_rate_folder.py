@@ -115,6 +115,10 @@ def test_the_failures_are_a_run_and_the_card_tells_the_rates(tmp_path, capsys):
     assert impacts[card["hardest"]["execution"]] == card["hardest"]["impact"] == max(impacts.values())
     assert main(["replay", run, "0"]) == OK
     assert main(["report", run, "--replays", "1"]) == OK
+    (folder / PICTURE).unlink()
+    (folder / PICTURE).mkdir()
+    assert main([*command, "--scenarios", "60", "--out", str(folder), "--quiet"]) == BAD_INPUT
+    assert f"{PICTURE} cannot be written: Is a directory" in capsys.readouterr().err
     assert main([*command, "--seed", "1", "--out", str(folder)]) == BAD_INPUT
     assert "belongs to another evaluation" in capsys.readouterr().err
 

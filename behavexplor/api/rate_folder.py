@@ -128,8 +128,11 @@ class RateFolder:
         execution, speed = hardest
         footage = footage_of(execution, known_road(self._config.env, self.run) or RoadShape(()))
         picture = draw(footage, decisive_frame(footage.trace, footage.violated))
-        with new_file(self.path / PICTURE) as file:
-            picture.save(file, "PNG")
+        try:
+            with new_file(self.path / PICTURE) as file:
+                picture.save(file, "PNG")
+        except OSError as error:
+            raise InputError(f"The picture {self.path / PICTURE} cannot be written: {error.strerror}") from None
         return {"execution": execution.id, "impact": round(speed, 2), "picture": PICTURE}
 
 

@@ -153,7 +153,7 @@ def unpacked_size(file: ZipFile) -> int:
 
 
 def member(file: ZipFile, name: str) -> bytes:
-    """Return a member of a zip file, of which `ZipFile.read` would unpack up to 2 GB, whatever size the file states."""
+    """Return a member of a zip file, at most as many bytes as the file states. `ZipFile.read` has no such limit."""
     with file.open(name) as opened:
         return opened.read(file.getinfo(name).file_size)
 

@@ -7,17 +7,6 @@ from typing import Any, Final
 
 import gymnasium
 import torch
-from gymnasium.wrappers import (
-    FlattenObservation,
-    FrameStackObservation,
-    NormalizeObservation,
-    NormalizeReward,
-    OrderEnforcing,
-    PassiveEnvChecker,
-    RecordEpisodeStatistics,
-    RecordVideo,
-    TimeLimit,
-)
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.policies import BasePolicy
@@ -46,21 +35,21 @@ _LOG: Final = logging.getLogger(__name__)
 _CHANGING: Final = (  # what the policy observes or does
     gymnasium.ObservationWrapper,
     gymnasium.ActionWrapper,
-    NormalizeObservation,
+    gymnasium.wrappers.NormalizeObservation,
     VecExtractDictObs,
     VecTransposeImage,
 )
 _KNOWN: Final = (  # these change neither, or are applied in a campaign
     gymnasium.RewardWrapper,
-    FlattenObservation,
-    FrameStackObservation,
+    gymnasium.wrappers.FlattenObservation,
+    gymnasium.wrappers.FrameStackObservation,
     Monitor,
-    NormalizeReward,
-    OrderEnforcing,
-    PassiveEnvChecker,
-    RecordEpisodeStatistics,
-    RecordVideo,
-    TimeLimit,
+    gymnasium.wrappers.NormalizeReward,
+    gymnasium.wrappers.OrderEnforcing,
+    gymnasium.wrappers.PassiveEnvChecker,
+    gymnasium.wrappers.RecordEpisodeStatistics,
+    gymnasium.wrappers.RecordVideo,
+    gymnasium.wrappers.TimeLimit,
     VecCheckNan,
     VecFrameStack,
     VecMonitor,
