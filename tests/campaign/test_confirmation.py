@@ -17,6 +17,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.commands import OK, main
 from behavexplor.execution.simulation import Simulation
 from behavexplor.report.reading import read_run
+from tests.envs.highway import strange
 
 IDLE = CampaignConfig(env="merge-v0", ads="constant:IDLE", method="uniform", budget="12", seed=1)
 
@@ -150,12 +151,13 @@ def test_a_driver_that_changes_is_not_taken_for_an_error_of_the_engine(tmp_path,
     assert "not repeatable: the driver or the environment goes on otherwise" in known(tmp_path)[0].said_of(0)
 
 
-def test_failures_in_traffic_that_draws_elsewhere_are_said_to_be_not_repeatable(tmp_path):
+def test_failures_in_traffic_that_draws_elsewhere_are_said_to_be_not_repeatable(tmp_path, monkeypatch):
+    monkeypatch.setattr(strange, "draws", np.random.default_rng(0))
     traffic = {"duration": 10, "other_vehicles_type": "tests.envs.highway.strange.Nervous"}
     config = replace(IDLE, env="highway-fast-v0", ads="constant:FASTER", env_config=traffic, budget="2")
     _, found = run(tmp_path / "run", config)
-    assert [one.state for one in found.values()] == ["changes", "changes"]
-    assert len(summarize(tmp_path / "run").not_confirmed) == 2
+    assert {one.state for one in found.values()} == {"changes"}
+    assert len(summarize(tmp_path / "run").not_confirmed) == len(found)
 
 
 class Failing:

@@ -135,7 +135,8 @@ def test_a_driver_that_does_not_repeat_its_drives_is_named(driver):
     assert warning.startswith("The driver does not drive the same scenario in the same way")
 
 
-def test_traffic_that_draws_elsewhere_is_named():
+def test_traffic_that_draws_elsewhere_is_named(monkeypatch):
+    monkeypatch.setattr(strange, "draws", np.random.default_rng(0))
     config = {"duration": 10, "other_vehicles_type": "tests.envs.highway.strange.Nervous"}
     target = Target("highway-fast-v0", "constant:FASTER", env_config=config)  # which always crashes
     evaluator = evaluator_recipe(target).make()

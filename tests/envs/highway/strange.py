@@ -8,7 +8,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 
 MODULE = __name__
-UNSEEDED = np.random.default_rng()
+draws = np.random.default_rng(0)
 
 
 class Brief(HighwayEnvFast):
@@ -117,9 +117,9 @@ def registered(kind, **settings):
 
 
 class Nervous(IDMVehicle):
-    """Brakes now and then, by draws that no environment knows of."""
+    """Brakes now and then, by draws that no environment knows of: they go on from one episode to the next."""
 
     def act(self, action=None):
         super().act(action)
-        if UNSEEDED.random() < 0.3:
+        if draws.random() < 0.3:
             self.action["acceleration"] = -5.0
