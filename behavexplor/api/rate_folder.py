@@ -20,6 +20,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.data.durable import folder_in, new_file, write_durably
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.road_shape import RoadShape
+from behavexplor.data.target import OF_EPISODES
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.evaluation import Evaluation, Observe, failing
@@ -37,7 +38,7 @@ OUTCOMES, FAILURES, SCENARIOS, CARD, PICTURE = "outcomes.jsonl", "failures", "fa
 MOST_STORED: Final = 1000  # failures that are driven again and kept with their traces
 CLAUSE: Final = "of the scenarios that {} draws in this configuration, which says nothing about roads"
 _BATCH: Final = 32
-_SUBJECT: Final = ("env", "ads", "seed", "env_config", "traffic", "stochastic", "activation")
+_SUBJECT: Final = ("env", "ads", "seed", *OF_EPISODES)
 
 
 class RateFolder:

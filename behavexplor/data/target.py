@@ -19,6 +19,8 @@ PAPERS_NAMES: Final = MappingProxyType(  # of environments
 )
 Activation = Literal["relu", "tanh", "elu", "gelu", "silu", "leaky_relu", "sigmoid", "identity"]
 LEAST_MEMORY: Final = 0.5  # [GiB]
+# settings on which an episode depends, beside the environment, the driver and the scenario
+OF_EPISODES: Final = ("env_config", "traffic", "stochastic", "activation")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from typing import Any, Final
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import is_shipped
 from behavexplor.data.scenario import Scenario, parse_scenario
-from behavexplor.data.target import CheckedTarget, Target
+from behavexplor.data.target import OF_EPISODES, CheckedTarget, Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.checked_imports import import_checked
@@ -180,11 +180,8 @@ def simulation_of(target: Target, driver: ADS | None = None, render_mode: str | 
     Raises:
         InputError: see `behavexplor.execution.simulation.Simulation`.
     """
-    ads = driver or target.ads
-    settings = (target.trust, target.env_config, target.traffic)
-    return Simulation(
-        target.env, ads, *settings, stochastic=target.stochastic, render_mode=render_mode, activation=target.activation
-    )
+    settings = {name: getattr(target, name) for name in OF_EPISODES}
+    return Simulation(target.env, driver or target.ads, target.trust, render_mode=render_mode, **settings)
 
 
 def evaluator_recipe(target: Target, at_a_time: int = LOCK_STEP) -> Recipe:

@@ -17,7 +17,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_scenario import DEFAULT, Traffic
 from behavexplor.data.durable import check_no_file, folder_in, write_durably
 from behavexplor.data.scenario import Scenario, read_scenario
-from behavexplor.data.target import Activation, CheckedTarget
+from behavexplor.data.target import OF_EPISODES, Activation, CheckedTarget
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked
@@ -254,7 +254,7 @@ def check_same_driving(first: tuple[Path, CampaignConfig], others: Iterable[tupl
         InputError: if they were made in different environments, or judged by different specs.
     """
     for folder, config in others:
-        for name in ("env", "env_config", "traffic", "stochastic", "activation", "specs"):
+        for name in ("env", *OF_EPISODES, "specs"):
             own, other = getattr(first[1], name) or None, getattr(config, name) or None
             if own != other:
                 raise InputError(
