@@ -16,7 +16,6 @@ import numpy as np
 
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import Record
-from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
@@ -63,7 +62,7 @@ def unconfirmed(config: CampaignConfig, run: Path, records: Iterable[Record]) ->
 def can_be_confirmed(record: Record) -> bool:
     """Return whether an execution is a failure in one of highway-env's environments that can be repeated there."""
     kind = (record.error or {}).get("kind")
-    return record.failed and kind not in _ENDED and isinstance(record.load_scenario(), DrawnScenario)
+    return record.failed and kind not in _ENDED and record.load_scenario().has_original
 
 
 def difference(recorded: Trace | Mapping[str, str], other: Trace | Mapping[str, str]) -> str | None:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -21,7 +21,6 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
 from behavexplor.commands.flags import RunFolder, Switch, Trust
 from behavexplor.commands.wording import hanging, say
-from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.durable import folder_in, new_file
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import ARRIVED, Trace
@@ -169,12 +168,12 @@ def _driven(
     execution: Execution, config: CampaignConfig, witness: Witness | OtherDriver, recorded: Trace
 ) -> tuple[Trace, bool]:
     """Drive a witness, and return its trace and whether it avoids the collision and fails in no other way."""
-    scenario = execution.scenario
-    if isinstance(scenario, DrawnScenario) and isinstance(witness, OtherDriver):
+    scenario: Any = execution.scenario
+    if scenario.has_original != isinstance(witness, OtherDriver):
+        raise InputError(f"The avoidance stored for execution {execution.id} belongs to an environment of another kind")
+    if isinstance(witness, OtherDriver):
         trace = drive_again(scenario, witness)
         return trace, not judge(trace).failed
-    if isinstance(scenario, DrawnScenario) or isinstance(witness, OtherDriver):
-        raise InputError(f"The avoidance stored for execution {execution.id} belongs to an environment of another kind")
     simulation = Simulation(config.env, "constant")  # any ADS will do, because the witness drives
     try:
         trace = replay_witness(simulation, scenario, witness)

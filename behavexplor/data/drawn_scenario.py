@@ -124,6 +124,11 @@ class DrawnScenario:
                     raise InputError(f"draws[{name!r}][{i}]: expected a finite number, got {brief(value)}")
 
     @property
+    def has_original(self) -> bool:
+        """True: the environment is highway-env's."""
+        return True
+
+    @property
     def meta_actions(self) -> tuple[str, ...]:
         """The names of the driver's actions by index, if they are highway-env's meta-actions; otherwise nothing."""
         action = json.loads(self.setup.config).get("action", {})

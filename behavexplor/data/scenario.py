@@ -26,6 +26,16 @@ class Scenario(Protocol):
         ...
 
     @property
+    def has_original(self) -> bool:
+        """Whether highway-env itself can also run the scenario, because it belongs to one of its environments."""
+        ...
+
+    @property
+    def meta_actions(self) -> tuple[str, ...]:
+        """The names of the driver's actions by index, if they are highway-env's meta-actions; otherwise nothing."""
+        ...
+
+    @property
     def conditions(self) -> Mapping[str, Any]:
         """The fields of a `behavexplor.data.target.Target` that the scenario itself states."""
         ...

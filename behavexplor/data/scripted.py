@@ -95,6 +95,16 @@ class ScriptedScenario:
                 raise InputError(f"npcs[{i}]: expected an NPC, got {brief(npc)}")
 
     @property
+    def has_original(self) -> bool:
+        """False: the roads are this package's."""
+        return False
+
+    @property
+    def meta_actions(self) -> tuple[()]:
+        """Nothing: the driver accelerates and steers."""
+        return ()
+
+    @property
     def conditions(self) -> dict[str, Any]:
         """Nothing: the script holds in every configuration of the environment."""
         return {}

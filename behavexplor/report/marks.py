@@ -10,7 +10,6 @@ import numpy as np
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import VEHICLE_SIZES
-from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.geometry import box_corners
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -71,7 +70,7 @@ def outcome(violated: Sequence[str], end: str) -> str:
 
 def decisions(trace: Trace, scenario: Scenario) -> list[tuple[int, str]]:
     """Return the meta-actions that the driver chose, each with its frame; nothing if it does not drive by them."""
-    names = scenario.meta_actions if isinstance(scenario, DrawnScenario) else ()
+    names = scenario.meta_actions
     if not names:
         return []
     chosen = trace.actions[:, 0].astype(int).tolist()

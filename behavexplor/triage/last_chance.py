@@ -35,7 +35,7 @@ def last_chance(simulation: Simulation, scenario: Any, trace: Trace) -> LastChan
         The last chance; None if there is none among the last `MOST_BACK` decisions or it takes too long to find it, if
         the execution ends otherwise, or if the environment has no compiled form or no meta-actions.
     """
-    if trace.end != "collision" or not isinstance(scenario, DrawnScenario):
+    if trace.end != "collision" or not scenario.meta_actions:
         return None
     branching = _branching(simulation)
     return None if branching is None else branching.last_chance(scenario, trace.actions[:, 0].astype(np.int64))
