@@ -114,7 +114,7 @@ def runs(node):
                 yield from runs(part)
 
 
-def faults(path):
+def faults_in(path):
     """Return the faults of a module, by line."""
     source = path.read_text(encoding="utf-8")
     lines, found = source.splitlines(keepends=True), {}
@@ -135,7 +135,8 @@ def faults(path):
 
 def drawn(folder, count, rng):
     """Draw faults in random lines of a folder's modules, at most one of a line."""
-    every = [found for path in sorted((ROOT / "behavexplor" / folder).rglob("*.py")) for found in faults(path).values()]
+    modules = sorted((ROOT / "behavexplor" / folder).rglob("*.py"))
+    every = [found for path in modules for found in faults_in(path).values()]
     chosen = rng.choice(len(every), size=min(count, len(every)), replace=False)
     return [every[i][rng.integers(len(every[i]))] for i in chosen]
 
@@ -148,17 +149,17 @@ class Copy:
         ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "runs", "site")
         shutil.copytree(ROOT, self._root, ignore=ignored)
 
-    def passes(self, *tests):
-        """Whether tests pass on the copy."""
+    def failure(self, *tests):
+        """Run tests on the copy, and return the end of what they print if one fails; nothing if all pass."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "2", "--dist", "worksteal", *tests]
         own = {**os.environ, "PYTHONPATH": str(self._root)}
         try:
             done = subprocess.run(
-                command, cwd=self._root, env=own, capture_output=True, timeout=TIME_LIMIT, check=False
+                command, cwd=self._root, env=own, capture_output=True, timeout=TIME_LIMIT, check=False, text=True
             )
         except subprocess.TimeoutExpired:
-            return False
-        return done.returncode == 0
+            return f"{tests} took longer than {TIME_LIMIT} s"
+        return done.stdout[-2000:] if done.returncode else ""
 
     def finds(self, fault, *, whole):
         """Return which tests find a fault: "own", "others" or "none"."""
@@ -168,11 +169,9 @@ class Copy:
         own = next(tests for name, tests in FOLDERS.items() if fault.path.startswith(f"behavexplor/{name}/"))
         nearest = f"{own}/test_{changed.name}"
         try:
-            if (self._root / nearest).is_file() and not self.passes(nearest):
+            if ((self._root / nearest).is_file() and self.failure(nearest)) or self.failure(own):
                 return "own"
-            if not self.passes(own):
-                return "own"
-            return "none" if not whole or self.passes("tests") else "others"
+            return "others" if whole and self.failure("tests") else "none"
         finally:
             changed.write_text(kept, encoding="utf-8")
 
@@ -187,20 +186,20 @@ def main():
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
     share = -(-given.count // len(given.folders))
-    chosen = [fault for folder in given.folders for fault in drawn(folder, share, rng)][: given.count]
+    chosen = {folder: drawn(folder, share, rng) for folder in given.folders}
     if given.list:
-        sys.stdout.write("\n".join(map(str, chosen)) + "\n")
+        sys.stdout.write("".join(f"{fault}\n" for faults in chosen.values() for fault in faults))
         return
     with tempfile.TemporaryDirectory() as folder:
         copy, counts = Copy(folder), Counter()
-        for tests in {FOLDERS[name] for name in given.folders}:
-            if not copy.passes(tests):
-                sys.exit(f"{tests} fails without a fault, so it finds none")
-        for fault in chosen:
-            found = copy.finds(fault, whole=given.whole)
-            counts[found] += 1
-            sys.stdout.write(f"{found:<7} {fault}\n")
-            sys.stdout.flush()
+        for name, faults in chosen.items():
+            if failure := copy.failure(FOLDERS[name]):
+                sys.exit(f"{failure}\n{FOLDERS[name]} fails without a fault, so it finds none")
+            for fault in faults:
+                found = copy.finds(fault, whole=given.whole)
+                counts[found] += 1
+                sys.stdout.write(f"{found:<7} {fault}\n")
+                sys.stdout.flush()
     sys.stdout.write(", ".join(f"{name} {count}" for name, count in counts.items()) + "\n")
 
 

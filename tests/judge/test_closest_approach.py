@@ -77,3 +77,41 @@ def test_a_niche_has_the_words_the_speeds_and_the_command_at_that_moment():
 
 def test_without_a_vehicle_near_there_is_nothing():
     assert ClosestApproach.of(drive(moving(speed=10.0), moving(x=10.0 * LONGEST + 100.0))) is None
+
+
+def discs(place, heading, size):
+    """The centers of a vehicle's three discs, shape (3, 2), and their radius."""
+    along = np.array([[-0.34], [0.0], [0.34]]) * size[0] * np.array([np.cos(heading), np.sin(heading)])
+    return place + along, 0.55 * size[1]
+
+
+def first_touch(trace, npc):
+    """The first time within `LONGEST` at which the discs of ego and NPC touch, by trying many; None if they do not."""
+    (own, own_radius), (other, radius) = (
+        discs(trace.position[0, i], trace.heading[0, i], trace.size[i]) for i in (0, npc)
+    )
+    times = np.linspace(0.0, LONGEST, 5_001)[:, None, None, None]
+    apart = other[None] - own[:, None] + times * (trace.velocity[0, npc] - trace.velocity[0, 0])
+    touching = (np.hypot(apart[..., 0], apart[..., 1]) < own_radius + radius).any(axis=(1, 2))
+    return float(times[touching.argmax(), 0, 0, 0]) if touching.any() else None
+
+
+def test_the_time_left_is_that_after_which_discs_touch_wherever_the_vehicles_are_and_head():
+    rng, touches = np.random.default_rng(0), 0
+    for _ in range(200):
+        vehicles = [
+            moving(*rng.uniform(-18, 18, 2), speed=rng.uniform(0, 25), heading=rng.uniform(-np.pi, np.pi))
+            for _ in range(3)
+        ]
+        trace = make_trace(vehicles[0][:1], [one[:1] for one in vehicles[1:]])
+        speeds = np.array([np.subtract(one[1, :2], one[0, :2]) / (TIME[1] - TIME[0]) for one in vehicles])
+        trace = replace(trace, velocity=speeds[None])
+        times = {npc: first_touch(trace, npc) for npc in (1, 2)}
+        touched = {npc: time for npc, time in times.items() if time is not None}
+        nearest = ClosestApproach.of(trace)
+        touches += bool(touched)
+        assert (nearest is not None) == bool(touched)
+        if nearest is not None:
+            assert nearest.time_left == pytest.approx(min(touched.values()), abs=2e-3)
+            assert touched[nearest.npc] == min(touched.values())
+    assert touches > 30
