@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behavexplor.behavior.features import ATTRIBUTES, N_FEATURES, STATISTICS, merged_states, state_matrix
+from behavexplor.data.geometry import project_on_polyline
 from tests.fakes import make_trace
 
 
@@ -175,6 +176,18 @@ def test_states_are_numpys_interpolation_to_the_last_bit(seed):
     ego = np.column_stack([rng.normal(0, 9, (frames, 2)), heading])
     trace = make_trace(ego, [ego + 10], time=np.concatenate([[0.0], np.cumsum(steps)]))
     assert np.array_equal(state_matrix(trace, "world"), interpolated_by_numpy(trace))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_route_s_heading_is_taken_where_the_ego_is_at_each_time(seed):
+    rng = np.random.default_rng(seed)
+    time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.03, 0.25, 40))])  # frames between and on both sides of states
+    ego = np.stack([20 * np.sin(0.4 * time), -20 * np.cos(0.4 * time), 0.4 * time], axis=1)
+    trace = make_trace(ego, time=time, route=ego[:, :2])
+    grid = np.arange(len(state_matrix(trace))) * 0.1
+    places = np.stack([np.interp(grid, time, trace.position[:, 0, axis]) for axis in (0, 1)], axis=1)
+    expected = column(state_matrix(trace, "world"), "heading") - project_on_polyline(places, trace.route)[1]
+    assert column(state_matrix(trace), "heading") == pytest.approx(expected, abs=1e-5)
 
 
 def test_headings_beyond_a_turn_do_not_jump():
