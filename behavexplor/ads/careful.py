@@ -27,6 +27,8 @@ PARALLEL: Final = 0.95  # cosine of the angle between two vehicles on parallel w
 START_SPEED: Final = 5.0  # at which the ego is expected to go on, if it is slower [m/s]
 HESITATION: Final = 0.5  # a smaller acceleration is no reason for another target speed [m/s2]
 
+_SLOWER, _IDLE, _FASTER = (MANEUVERS.index(name) for name in ("SLOWER", "IDLE", "FASTER"))
+
 
 class CarefulDriver:
     """The careful driver, for environments in the configuration that `fitted` returns."""
@@ -65,8 +67,7 @@ class CarefulDriver:
         wanted = _follow(speed, present, apart, motion)
         gives_way = _meets(speed, present, apart, motion, parallel)
         slower = gives_way | (wanted < -HESITATION)
-        choice = np.where(slower, "SLOWER", np.where(wanted > HESITATION, "FASTER", "IDLE"))
-        return np.array([MANEUVERS.index(name) for name in choice], dtype=np.int64), state
+        return np.where(slower, _SLOWER, np.where(wanted > HESITATION, _FASTER, _IDLE)), state
 
 
 def careful_driver(roadmap: RoadMap | None, variant: str = "") -> CarefulDriver:

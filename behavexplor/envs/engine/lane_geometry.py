@@ -8,7 +8,8 @@ from typing import Final
 
 from highway_env.road.lane import AbstractLane
 
-from behavexplor.envs.engine.lane_network import CIRCULAR, SINE, STRAIGHT, Lane, Network
+from behavexplor.data.array_types import Ints
+from behavexplor.envs.engine.lane_network import CIRCULAR, ON_LANE, SINE, STRAIGHT, Lane, Network
 from behavexplor.envs.engine.state import Scene, Vehicle
 from behavexplor.jit import kernel_inner
 
@@ -135,10 +136,15 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
     A `likely` lane saves time, but does not change the result: the first of several that are equally close.
     """
     best, place = likely, lane_coordinates(network.lanes[likely], x, y)
-    if _is_alone(network, likely, x, y, _distance(network.lanes[likely], *place) + math.pi):  # at any heading
+    apart = _distance(network.lanes[likely], *place)
+    first, count = 0, len(network.lanes)
+    if apart <= ON_LANE:
+        first, count = network.lanes[likely].first_near, network.lanes[likely].n_near
+    others = network.near[first : first + count]
+    if _is_alone(network, others, likely, x, y, apart + math.pi):  # at any heading
         return best, *place
     nearest = _distance_with_heading(network.lanes[likely], *place, heading)
-    for i in range(len(network.lanes)):
+    for i in others:
         lane = network.lanes[i]
         if i == likely or is_farther(lane, x, y, nearest):
             continue
@@ -150,9 +156,9 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
 
 
 @kernel_inner
-def _is_alone(network: Network, lane: int, x: float, y: float, limit: float) -> bool:
-    """Return whether all other lanes are certainly farther from a point than a limit [m]."""
-    for i in range(len(network.lanes)):
+def _is_alone(network: Network, others: Ints, lane: int, x: float, y: float, limit: float) -> bool:
+    """Return whether the other lanes are certainly farther from a point than a limit [m]."""
+    for i in others:
         if i == lane or is_farther(network.lanes[i], x, y, limit):
             continue
         return False

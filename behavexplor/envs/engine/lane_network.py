@@ -6,13 +6,14 @@ of `RoadNetwork.graph`. Ties between lanes are decided by that order.
 
 import math
 from collections.abc import Callable, Collection, Iterator
+from functools import lru_cache
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
 from highway_env.road.road import LaneIndex, RoadNetwork
 
-from behavexplor.data.array_types import Ints
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.envs.engine.state import Records, record_type
 from behavexplor.envs.source_gate import replaced
 from behavexplor.errors import InputError
@@ -44,6 +45,8 @@ LANE: Final = record_type(
     number=np.int64,  # on its road
     first_link=np.int64,  # the lane's rows in `Network.links`
     n_links=np.int64,
+    first_near=np.int64,  # the lane's rows in `Network.near`
+    n_near=np.int64,
 )
 
 ROAD: Final = record_type(
@@ -56,6 +59,11 @@ ROAD: Final = record_type(
 )
 
 LINK: Final = record_type(lane=np.int64, offset=np.float64)
+
+# If a point is at most this distant from a lane, the lanes that are not near that one are certainly farther [m].
+ON_LANE: Final = 2.0
+_SAMPLES: Final = 64  # points of a lane's center line
+_ROUNDING: Final = 1e-3  # more than the rounding errors of a distance of center lines [m]
 
 _CLASSES: Final = {STRAIGHT: StraightLane, SINE: SineLane, CIRCULAR: CircularLane}
 _CHANGEABLE: Final = frozenset({"__init__", "from_config", "to_config"})  # by subclasses, whose attributes are read
@@ -70,6 +78,7 @@ class Network(NamedTuple):
     # lanes on which `Road.neighbour_vehicles` looks for vehicles, for one lane after the other, with the offset of
     # their stations [m], of `LINK`. The first link of a lane is the lane itself.
     links: Records
+    near: Ints  # all lanes, then those that are near a lane and not itself, for one lane after the other
 
 
 def lane_indexes(network: RoadNetwork) -> list[LaneIndex]:
@@ -115,12 +124,9 @@ def make_network(
             row.kind = _kind(lane, (origin, target, number), same_geometry)
             _describe(row, lane)
             row.road, row.number, row.is_goal = road, number, is_goal((origin, target, number))
-    return Network(
-        lanes=lanes.view(np.ndarray),
-        roads=table.view(np.ndarray),
-        exits=np.array(exits, dtype=np.int64),
-        links=_link(network, lanes, connected_lanes=connected_lanes),
-    )
+    links = _link(network, lanes, connected_lanes=connected_lanes)
+    near = _near_lanes(lanes)
+    return Network(lanes.view(np.ndarray), table.view(np.ndarray), np.array(exits, dtype=np.int64), links, near)
 
 
 def _roads(network: RoadNetwork) -> Iterator[tuple[tuple[str, str], list[AbstractLane]]]:
@@ -174,6 +180,48 @@ def _link(network: RoadNetwork, lanes: Records, *, connected_lanes: bool) -> Rec
         lanes[row].first_link, lanes[row].n_links = len(links), len(own)
         links += own
     return np.array(links, dtype=LINK)
+
+
+def _near_lanes(lanes: Records) -> Ints:
+    """Fill the lanes' `first_near` and `n_near`, and return `Network.near`.
+
+    A point's distance from a lane, in highway-env's measure, is at least that from its center line. So if a point is r
+    from one lane, and the center lines are d apart, it is at least d - r from the other. That is more than r and any
+    difference of headings, pi, if d is more than 2 r + pi.
+    """
+    near = list(range(len(lanes)))
+    for lane, found in zip(lanes, _lanes_within(lanes.tobytes(), 2 * ON_LANE + math.pi), strict=True):
+        lane.first_near, lane.n_near = len(near), len(found)
+        near += found
+    return np.array(near, dtype=np.int64)
+
+
+@lru_cache(maxsize=16)  # it takes milliseconds, and environments that make their own roads make them in every episode
+def _lanes_within(lanes: bytes, reach: float) -> list[list[int]]:
+    """Return for each lane which others may have center lines within a distance of its own [m]."""
+    rows = np.frombuffer(lanes, LANE)
+    lines = np.array([_center_line(row) for row in rows])
+    # a point of a line is at most half the greatest step away from a sample, along the line
+    slack = 1.1 * np.linalg.norm(np.diff(lines, axis=1), axis=2).max(axis=1, initial=0.0) / 2
+    found = []
+    for i, line in enumerate(lines):
+        points, others = line - lines[i, 0], lines - lines[i, 0]
+        square = (points**2).sum(1) + (others**2).sum(2)[:, :, None] - 2 * others @ points.T
+        apart = np.sqrt(square.min(axis=(1, 2)).clip(0.0)) - slack - slack[i]
+        found.append([j for j in np.flatnonzero(apart <= reach + _ROUNDING).tolist() if j != i])
+    return found
+
+
+def _center_line(lane: Lane) -> Floats:
+    """Return points of a lane's center line from its start to its end, shape (`_SAMPLES`, 2) [m]."""
+    station = np.linspace(0.0, lane.length, _SAMPLES)
+    if lane.kind == CIRCULAR:
+        angle = lane.turn * station / lane.radius + lane.phase
+        return np.stack([lane.x + lane.radius * np.cos(angle), lane.y + lane.radius * np.sin(angle)], axis=1)
+    offset = lane.amplitude * np.sin(lane.pulsation * station + lane.phase)
+    return np.stack(
+        [lane.x + station * lane.cos - offset * lane.sin, lane.y + station * lane.sin + offset * lane.cos], axis=1
+    )
 
 
 def _same_or_first(number: int, lanes: list[AbstractLane]) -> int:

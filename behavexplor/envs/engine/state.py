@@ -26,6 +26,7 @@ def record_type(**fields: type) -> RecordType:
 PLAIN, MDP, IDM, LINEAR, OBSTACLE = range(5)  # `kind` of a vehicle: highway-env's class
 NO_LANE: Final = -1
 SAME_NUMBER: Final = -1  # `number` of a step of a route: the lane is not fixed
+NO_ROAD: Final = -1  # after the end of a route
 NO_ROUTE: Final = -1  # `route_length` of a vehicle whose route is None instead of an empty list
 
 VEHICLE: Final = record_type(

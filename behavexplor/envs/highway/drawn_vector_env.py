@@ -17,6 +17,7 @@ from behavexplor.data.drawn_logical import NORMAL, UNIFORM, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
+from behavexplor.envs.engine.state import NO_ROAD
 from behavexplor.envs.highway.config_check import STARTS
 from behavexplor.envs.highway.conversion import are_alike
 from behavexplor.envs.highway.drawn_env import DrawnEnv
@@ -208,12 +209,9 @@ class FailureWatch:
         self._is_beyond[chosen] = not self._must_move_on
         if self._must_move_on:
             lanes = things["lane"][np.arange(len(chosen)), frames["ego"]]
+            ahead = engine.roads_ahead(chosen, frames["ego"], 2)
             self._entry[chosen] = self._roads[lanes][:, None]
-            for b, ego in zip(chosen, frames["ego"].tolist(), strict=True):
-                state = engine.state(b)
-                first, end = state.vehicles[ego][["route_position", "route_length"]].tolist()
-                roads = state.routes["road"][ego, first : max(first, end)][:2]
-                self._entry[b, : len(roads)] = roads
+            self._entry[chosen, :2] = np.where(ahead == NO_ROAD, self._entry[chosen, :2], ahead)
 
     def passing(self, engine: HighwayVectorEnv, infos: dict[str, Any]) -> Bools:
         """Return which episodes have not failed if they end after this decision, shape (num_envs,)."""

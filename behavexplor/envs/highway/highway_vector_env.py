@@ -1,7 +1,7 @@
 """highway-env's own environments as compiled vector environments."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -15,12 +15,12 @@ from gymnasium.wrappers import TimeLimit
 from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor import HIGHWAY_ENV
-from behavexplor.data.array_types import Array, Bools, Floats
+from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.envs.engine.actions import check_actions, command_table, make_commands
 from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.lock_step import LockStepVectorEnv
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words
-from behavexplor.envs.engine.state import make_scratch, make_slots
+from behavexplor.envs.engine.state import NO_ROAD, make_scratch, make_slots
 from behavexplor.envs.engine.vehicle_parameters import TRAFFIC, classes_of_vehicles, kept_parameters
 from behavexplor.envs.highway import engine_making
 from behavexplor.envs.highway.config_check import check_config, has_own_starts, known_class
@@ -162,6 +162,16 @@ class HighwayVectorEnv(LockStepVectorEnv):
     def state(self, b: int) -> SlotState:
         """Return a copy of the state of sub-environment b."""
         return slot_state(self._slots, b)
+
+    def roads_ahead(self, chosen: Sequence[int], vehicles: Ints, count: int) -> Ints:
+        """Return the next roads of the routes of vehicles, one of each chosen sub-environment, shape (chosen, count).
+
+        After the end of a route, there is `NO_ROAD`.
+        """
+        own, routes = self._slots.vehicles[chosen, vehicles], self._slots.routes["road"][chosen, vehicles]
+        steps = own["route_position"][:, None] + np.arange(count)
+        roads = np.take_along_axis(routes, np.minimum(steps, routes.shape[1] - 1), axis=1)
+        return np.where(steps < own["route_length"][:, None], roads, NO_ROAD)
 
     def snapshot(self, b: int) -> tuple[Array, ...]:
         """Return a copy of all that the episode of sub-environment b goes on from, for `restore`."""

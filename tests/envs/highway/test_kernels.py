@@ -52,14 +52,17 @@ def clear(network, slots, scratch):
     clear_vehicles(network, scene)
 
 
-@pytest.mark.parametrize("env_id", ["merge-v0", "roundabout-v0", "two-way-v0"])
+@pytest.mark.parametrize(
+    "env_id",
+    ["merge-v0", "roundabout-v0", "two-way-v0", "intersection-v0", "exit-v0", "u-turn-v0", "highway-v0", "racetrack-v0"],
+)
 def test_the_closest_lane_is_highway_env_s_wherever_the_search_begins(env_id):
     env, rng = make(env_id), np.random.default_rng(0)
     network, indexes = world_of(env).network, lane_indexes(env.road.network)
     found = set()
     for _ in range(300):
         lane = env.road.network.get_lane(indexes[rng.integers(len(indexes))])
-        position = lane.position(rng.uniform(-20, lane.length + 20), rng.normal(0, 6))
+        position = lane.position(rng.uniform(-20, lane.length + 20), rng.normal(0, rng.choice([1, 6])))
         heading = rng.uniform(-4, 4)
         ours = {closest(network, likely, *position, heading) for likely in range(0, len(indexes), 3)}
         assert len(ours) == 1
