@@ -260,3 +260,9 @@ def test_jitter_is_no_behavior():
 def test_options_out_of_range(option, value):
     with pytest.raises(InputError, match=option):
         MinerOptions(**{option: value})
+
+
+def test_as_many_states_as_clusters_are_enough_for_a_sample():
+    assert MinerOptions(sample_size=10, clusters=10).sample_size == 10
+    with pytest.raises(InputError, match="sample_size: must be at least clusters, got 9"):
+        MinerOptions(sample_size=9, clusters=10)
