@@ -42,8 +42,6 @@ class NichingOptions:
     initial: Annotated[int, between(1)] = 20  # number of uniform scenarios executed before the first child
     uniform: Annotated[float, between(0, 1)] = 0.2  # least share of uniform scenarios after these
     penalty: Annotated[float, between(0)] = 0.5  # worse by this when the niche is seen e times as often [s]
-    exchange: Annotated[float, between(0, 1)] = 0.5  # probability that a child takes a vehicle from either parent
-    redraw: Annotated[float, between(0, 1)] = 0.4  # probability that vehicles are drawn anew; else, noise is added
 
 
 class _Parent(NamedTuple):
@@ -71,43 +69,24 @@ class Niching:
         is_early = self._asker.asked < self._options.initial or not self._parents
         if is_early or rng.random() < self._uniform_share():
             return self._asker.candidate(self._asker.uniform(rng)[0], rng, UNIFORM)
-        parent = self._picked(rng)
+        parent = self._parents[int(rng.integers(len(self._parents)))]
         return self._asker.candidate(self._child(parent.vector, rng), rng, CHILD, parent.number)
 
     def _uniform_share(self) -> float:
         """Return the share of uniform scenarios after the first ones."""
         return max(self._options.uniform, self._drawn_failed / max(self._drawn, 1))
 
-    def _picked(self, rng: np.random.Generator) -> _Parent:
-        return self._parents[int(rng.integers(len(self._parents)))]
-
     def _child(self, parent: Floats, rng: np.random.Generator) -> Floats:
-        """Return a child that is not a copy of its parent, shape (n,)."""
+        """Return a child that is not a copy of its parent, shape (n,): with noise on all genes or a few."""
         features = self._asker.encoding.features
         for _ in range(_ATTEMPTS):
-            blocks = self._blocks(parent)
-            if rng.random() < self._options.exchange:
-                other = rng.random(len(blocks)) < 0.5
-                blocks[other] = self._blocks(self._picked(rng).vector)[other]
-            child = self._mutated(blocks, rng).ravel()
+            sigma = math.exp(rng.uniform(*np.log(_SIGMAS)))
+            share = 1.0 if rng.random() < 0.5 else _FEW
+            noise = (rng.random(len(parent)) < share) * rng.normal(0.0, sigma, len(parent))
+            child: Floats = np.abs((parent + noise + 1.0) % 2.0 - 1.0)
             if (features(child[None]) != features(parent[None])).any():
                 break
         return child
-
-    def _blocks(self, vector: Floats) -> Floats:
-        return vector.reshape(self._asker.encoding.n_blocks, -1).copy()
-
-    def _mutated(self, blocks: Floats, rng: np.random.Generator) -> Floats:
-        """Draw one or more vehicles anew, or add noise to all genes or a few; shape (blocks, genes)."""
-        if rng.random() < self._options.redraw:
-            count = min(int(rng.geometric(0.6)), len(blocks))
-            chosen = rng.choice(len(blocks), count, replace=False)
-            blocks[chosen] = rng.random((count, blocks.shape[1]))
-            return blocks
-        sigma = math.exp(rng.uniform(*np.log(_SIGMAS)))
-        share = 1.0 if rng.random() < 0.5 else _FEW
-        noise = (rng.random(blocks.shape) < share) * rng.normal(0.0, sigma, blocks.shape)
-        return np.abs((blocks + noise + 1.0) % 2.0 - 1.0)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
         """Count the niche of an execution, and keep the best parents; tell the `time_left` until a collision [s]."""
