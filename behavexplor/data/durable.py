@@ -67,13 +67,16 @@ def new_file(path: Path, *, waits: bool = True) -> Iterator[BufferedWriter]:
     Raises:
         OSError: if the file cannot be written, or something other than a file is in its place.
     """
-    if path.is_dir():  # before anything is written; the folders "." and "/" have no names to change, either
+    try:
+        kind = path.stat().st_mode
+    except OSError:  # nothing is there, or a link that leads to nothing
+        kind = stat.S_IFREG
+    if stat.S_ISDIR(kind):  # before anything is written; the folders "." and "/" have no names to change, either
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if path.exists() and not path.is_file():
+    if not stat.S_ISREG(kind):
         raise OSError(errno.EEXIST, "it is a pipe or a device, and no file", str(path))
     partial = path.with_name(path.name + ".part")
-    partial.unlink(missing_ok=True)  # of an earlier crash
-    with partial.open("xb") as file:  # which follows no link
+    with _new(partial) as file:
         try:
             yield file
             file.flush()
@@ -83,6 +86,14 @@ def new_file(path: Path, *, waits: bool = True) -> Iterator[BufferedWriter]:
             partial.unlink(missing_ok=True)
             raise
     partial.replace(path)
+
+
+def _new(partial: Path) -> BufferedWriter:
+    try:
+        return partial.open("xb")  # which follows no link
+    except FileExistsError:  # of an earlier crash
+        partial.unlink()
+        return partial.open("xb")
 
 
 def folder_in(folder: Path, *names: str) -> Path:

@@ -1,7 +1,9 @@
-"""Messages across process boundaries: requests and tagged answers. Nothing is ever unpickled."""
+"""Messages across process boundaries: requests and tagged answers, several at a time. Nothing is ever unpickled."""
 
 import json
+from collections.abc import Iterable
 from concurrent.futures import Future
+from itertools import chain
 from typing import Any, Final, NamedTuple, Self
 
 from behavexplor.errors import InputError, described
@@ -16,7 +18,7 @@ ADS_FAILED: Final = b"A"  # followed by an `ADSError` as JSON
 REFUSED: Final = b"I"  # followed by the message of an `InputError`
 FAILED: Final = b"E"  # followed by the message of any other exception
 SUSPECT: Final = b"S"  # the call failed in a batch and must be made again alone
-KEY_BYTES: Final = 8
+KEY_BYTES: Final = 8  # of the key of a call, and of a length
 
 
 class Request(NamedTuple):
@@ -38,14 +40,42 @@ class Request(NamedTuple):
         return cls(int.from_bytes(message[:KEY_BYTES]), function.decode(), bool(message[KEY_BYTES]), data)
 
 
+def packed(parts: Iterable[bytes]) -> bytes:
+    """Return some bytes as one message, for `unpacked`."""
+    return b"".join(chain.from_iterable((len(part).to_bytes(KEY_BYTES), part) for part in parts))
+
+
+def unpacked(message: bytes) -> list[bytes]:
+    """Return the bytes in a message of `packed`.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    parts, begin = [], 0
+    while begin < len(message):
+        end = begin + KEY_BYTES + int.from_bytes(message[begin : begin + KEY_BYTES])
+        if end > len(message):
+            raise ValueError("the message is too short")
+        parts.append(message[begin + KEY_BYTES : end])
+        begin = end
+    return parts
+
+
 def with_key(key: int, answer: bytes) -> bytes:
     """Return an answer with its key, as it is sent."""
     return key.to_bytes(KEY_BYTES) + answer
 
 
-def split_key(message: bytes) -> tuple[int, bytes]:
-    """Return the key and the answer in a message."""
-    return int.from_bytes(message[:KEY_BYTES]), message[KEY_BYTES:]
+def answers_in(message: bytes) -> list[tuple[int, bytes]]:
+    """Return the answers in a message of a worker, each with its key.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    answers = [(int.from_bytes(part[:KEY_BYTES]), part[KEY_BYTES:]) for part in unpacked(message)]
+    if not answers:
+        raise ValueError("the message is empty")
+    return answers
 
 
 def error_answer(error: BaseException, place: str = "") -> bytes:

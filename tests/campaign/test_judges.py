@@ -14,12 +14,13 @@ from behavexplor.behavior.features import state_matrix
 from behavexplor.campaign import opening
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.judges import Judges, judged, packed, unpacked
+from behavexplor.campaign.judges import Judges, judged
 from behavexplor.campaign.judgment import judgment
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Store
 from behavexplor.data.trace import Trace
 from behavexplor.execution.executor import ADSError
+from behavexplor.execution.messages import packed, unpacked
 from behavexplor.judge.specs import SPECS
 from tests.fakes import LOGICAL, simulate
 
@@ -109,7 +110,10 @@ def test_messages_are_taken_apart():
     parts = [b"", b"a" * 300, b"\n"]
     assert unpacked(packed(parts)) == parts
     assert unpacked(b"") == []
-    assert judged(b"").startswith(b'"its process sent what is no trace: ')
+    for other in (b"\1", packed(parts)[:-1], b"\xff" * 20):
+        with pytest.raises(ValueError, match="too short"):
+            unpacked(other)
+    assert judged(b"").startswith(b'"error": "its process sent what is no trace: ')
 
 
 def test_a_packed_trace_is_a_trace():
@@ -144,7 +148,7 @@ def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method):
     followed, follow = [], Judges.follow
     monkeypatch.setattr(opening, "LEAST", 1)
     monkeypatch.setattr(Judges, "are_ready", property(ready))
-    monkeypatch.setattr(Judges, "follow", lambda self, driven: followed.append(driven) or follow(self, driven))
+    monkeypatch.setattr(Judges, "follow", lambda self, *given: followed.append(given) or follow(self, *given))
     assert run(tmp_path / "there", 2, method=method, budget="20") == whole[:20]
     assert len(followed) == 20
     assert run(tmp_path / "there", 2, method=method) == whole
@@ -152,7 +156,7 @@ def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method):
 
 
 def test_a_judge_that_ends_is_not_the_drivers_failure(tmp_path, monkeypatch):
-    def lose(self, driven):
+    def lose(self, driven, drawn):
         judging = Future()
         driven.add_done_callback(lambda _: judging.set_exception(RuntimeError("a worker ended: its process is gone")))
         return judging
