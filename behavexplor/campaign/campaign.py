@@ -24,7 +24,7 @@ from behavexplor.campaign.confirmation import unconfirmed
 from behavexplor.campaign.judges import Judges
 from behavexplor.campaign.judgment import Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
-from behavexplor.campaign.record import ERROR, Record
+from behavexplor.campaign.record import ENCODED, ERROR, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.campaign.uniform_rate import MOST, SHARE, UniformRate
 from behavexplor.data.logical import LogicalScenario
@@ -244,7 +244,7 @@ class Campaign:
         if candidate.seed is not None and judges is not None and judges.can_draw:
             drawn = json.dumps([candidate.seed, candidate.number])
         else:
-            scenario = json.dumps(candidate.scenario.to_dict())
+            scenario = ENCODED(candidate.scenario.to_dict())
         result = self._submit(candidate.number, drawn or scenario)
         if judges is None or not (drawn or judges.are_ready):
             return _Pending(candidate, result, scenario)
@@ -274,6 +274,8 @@ class Campaign:
 
     def _judge_others_until(self, oldest: _Pending) -> None:
         """Judge candidates that have been executed early, until the oldest one has been executed as well."""
+        if oldest.judging is not None:  # others judge it, and all that have been asked for since
+            return
         for other in self._pending:
             if oldest.is_executed:
                 return
@@ -320,7 +322,7 @@ class Campaign:
             learned = self._method.tell(candidate, judged.trace, judged.verdict)
         return Record.of_outcome(
             judged.lines,
-            pending.scenario or judged.scenario or json.dumps(candidate.scenario.to_dict()),
+            pending.scenario or judged.scenario or ENCODED(candidate.scenario.to_dict()),
             id=candidate.number,
             origin=candidate.origin,
             parent=candidate.parent,

@@ -18,7 +18,7 @@ import numpy as np
 
 from behavexplor.behavior.features import ATTRIBUTES, known_states, state_matrix
 from behavexplor.campaign.judgment import Judgment, judgment
-from behavexplor.campaign.record import lines_of
+from behavexplor.campaign.record import ENCODED, lines_of
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.logical import LogicalScenario, draws
 from behavexplor.data.trace import Trace
@@ -168,7 +168,7 @@ def judged(data: bytes, drawn: bytes = b"", logical: LogicalScenario | None = No
         found = judgment(data, None, SPECS)
     except ADSError as error:
         return lines_of({"error": error.message})[0].encode() + _END
-    scenario = json.dumps(logical.sample(draws(*json.loads(drawn))).to_dict()) if drawn and logical else ""
+    scenario = ENCODED(logical.sample(draws(*json.loads(drawn))).to_dict()) if drawn and logical else ""
     return "\n".join([*found.lines, scenario]).encode() + _END + state_matrix(found.trace).tobytes()
 
 
