@@ -7,7 +7,7 @@ from itertools import chain
 from typing import Any, Final, NamedTuple, Self
 
 from behavexplor.errors import InputError, described
-from behavexplor.execution.executor import ADSError
+from behavexplor.execution.executor import ADS_FAILURES, ADSError
 
 STARTED: Final = b""  # the supervisor's first message: it has written all that a process is started with
 
@@ -18,6 +18,7 @@ ADS_FAILED: Final = b"A"  # followed by an `ADSError` as JSON
 REFUSED: Final = b"I"  # followed by the message of an `InputError`
 FAILED: Final = b"E"  # followed by the message of any other exception
 SUSPECT: Final = b"S"  # the call failed in a batch and must be made again alone
+MOST_ERROR: Final = 100_000  # bytes of an error that are read
 KEY_BYTES: Final = 8  # of the key of a call, and of a length
 
 
@@ -93,17 +94,29 @@ def error_answer(error: BaseException, place: str = "") -> bytes:
 
 
 def answered_error(answer: bytes) -> Exception | None:
-    """Return the exception that an answer stands for; None for a result."""
+    """Return the exception that an answer stands for; None for a result.
+
+    Raises:
+        ValueError: if it is no answer, because the ADS has written it.
+    """
     tag, content = answer[:1], answer[1:]
     if tag == RESULT:
         return None
-    if tag == ADS_FAILED:
-        return ADSError(**json.loads(content))
-    return (InputError if tag == REFUSED else RuntimeError)(content.decode())
+    if tag not in (ADS_FAILED, REFUSED, FAILED):
+        raise ValueError("an unknown tag")
+    text = content[:MOST_ERROR].decode()
+    return _ads_error(text) if tag == ADS_FAILED else (InputError if tag == REFUSED else RuntimeError)(text)
+
+
+def _ads_error(text: str) -> ADSError:
+    values = json.loads(text)
+    if not (isinstance(values, dict) and {*values} == {"kind", "message", "place"} and values["kind"] in ADS_FAILURES):
+        raise ValueError("not a failure of an ADS")
+    return ADSError(*(str(values[name]) for name in ("kind", "message", "place")))
 
 
 def settle(future: "Future[Any]", answer: bytes) -> None:
-    """Set the result or the exception of an answer on a future."""
+    """Set the result or the exception of an answer on a future; see `answered_error`."""
     error = answered_error(answer)
     if error is None:
         future.set_result(answer[1:])

@@ -235,16 +235,17 @@ class WorkerPool(Executor):
 
     def _take(self, worker: "_Worker", key: int, answer: bytes) -> None:
         tag, content = answer[:1], answer[1:]
-        if tag == READY:
+        if tag == READY and not worker.is_ready:
             worker.capacity, worker.is_ready = int(content), True
             self._demand.measure_anew()
         elif not worker.is_ready:
             _fail(worker.tasks.values(), InputError(content.decode()))
             self._remove(worker)
-        elif tag == SUSPECT:
+        elif tag == SUSPECT and not worker.tasks[key].alone:
             self._again([worker.tasks.pop(key)])
         else:
-            settle(worker.tasks.pop(key).future, answer)
+            settle(worker.tasks[key].future, answer)
+            del worker.tasks[key]
             if self._recipe.long_calls:
                 self._remove(worker)
 

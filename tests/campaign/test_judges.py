@@ -142,17 +142,35 @@ def run(folder, workers, **config):
         return [(one.record.to_dict(), one.trace) for one in store.executions()]
 
 
-@pytest.mark.parametrize("method", ["behavexplor", "avfuzzer"])
-def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method):
-    whole = run(tmp_path / "here", 0, method=method)
+@pytest.mark.parametrize(
+    ("method", "target"),
+    [
+        ("behavexplor", {}),
+        ("avfuzzer", {}),
+        ("uniform", {}),
+        ("uniform", {"env": "highway-fast-v0", "ads": "constant:FASTER"}),
+    ],
+)
+def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method, target):
+    whole = run(tmp_path / "here", 0, method=method, **target)
     followed, follow = [], Judges.follow
     monkeypatch.setattr(opening, "LEAST", 1)
     monkeypatch.setattr(Judges, "are_ready", property(ready))
     monkeypatch.setattr(Judges, "follow", lambda self, *given: followed.append(given) or follow(self, *given))
-    assert run(tmp_path / "there", 2, method=method, budget="20") == whole[:20]
+    assert run(tmp_path / "there", 2, method=method, budget="20", **target) == whole[:20]
     assert len(followed) == 20
-    assert run(tmp_path / "there", 2, method=method) == whole
+    assert run(tmp_path / "there", 2, method=method, **target) == whole
     assert len(followed) == 40
+    drawn = [b"[2, %d]" % number for number in range(40)]  # by the workers, and again by the judges
+    assert [request for _, request in followed] == (drawn if method == "uniform" else [b""] * 40)
+
+
+def test_the_drivers_failure_is_recorded_with_its_scenario_though_a_worker_has_drawn_it(tmp_path, monkeypatch):
+    config = {"method": "uniform", "ads": "tests.drivers:Faulty", "budget": "3"}
+    alone = run(tmp_path / "alone", 1, **config)
+    monkeypatch.setattr(opening, "LEAST", 1)
+    assert run(tmp_path / "judged", 1, **config) == alone
+    assert {record["class"] for record, _ in alone} == {"error/raised"}
 
 
 def test_a_judge_that_ends_is_not_the_drivers_failure(tmp_path, monkeypatch):
