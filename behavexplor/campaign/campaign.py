@@ -10,7 +10,7 @@ Resuming a campaign means running it again with the stored traces in place of ex
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
@@ -196,25 +196,28 @@ class Campaign:
 
     def _ask_all(self) -> str | None:
         """Ask for candidates until the batch is full. Return why the search ended, or None if it has not."""
-        while (room := self._room()) > 0:
-            for _ in range(room):
-                if self.stopping or not self._within_budget():
-                    return None
-                try:
-                    with self._during(Stage.ASKING, self._asked):
-                        candidate = self._method.ask()
-                except SearchExhausted as end:
-                    return str(end)
-                self._asked += 1
-                self._pending.append(self._execute(candidate))
+        for _ in self._places():
+            if self.stopping or not self._within_budget():
+                break
+            try:
+                with self._during(Stage.ASKING, self._asked):
+                    candidate = self._method.ask()
+            except SearchExhausted as end:
+                return str(end)
+            self._asked += 1
+            self._pending.append(self._execute(candidate))
         return None
 
-    def _room(self) -> int:
-        """Return for how many candidates there is room in the batch, or early, for those that need no result."""
-        in_flight = len(self._pending)
-        early = min(getattr(self._method, "foreseen", 0), _MOST_EARLY - in_flight)
-        room = self._executor.room if early > 0 else 0
-        return max(self._config.batch - in_flight, min(early, room) if room >= min(TOGETHER, in_flight) else 0)
+    def _places(self) -> Iterator[int]:
+        """Yield while there is room for a candidate in the batch, or for many that need no result, early."""
+        while True:
+            in_flight = len(self._pending)
+            early = min(getattr(self._method, "foreseen", 0), _MOST_EARLY - in_flight)
+            room = self._executor.room if early > 0 else 0
+            count = max(self._config.batch - in_flight, min(early, room) if room >= min(TOGETHER, in_flight) else 0)
+            if count <= 0:
+                return
+            yield from range(count)
 
     def _within_budget(self) -> bool:
         if self._budget.executions is not None:

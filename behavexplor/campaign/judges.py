@@ -105,8 +105,7 @@ class Judges:
     @property
     def can_draw(self) -> bool:
         """True if they will draw the scenarios of uniform candidates, which can be given to `follow` at once."""
-        failed = self.are_ready is False and self._begun is not None and self._begun.done()
-        return bool(self._count) and self._knows and not failed
+        return self._knows and (self.are_ready or (self._begun is not None and not self._begun.done()))
 
     def follow(self, driven: "Future[bytes]", drawn: bytes = b"") -> "Future[Judgment]":
         """Return the future judgment of a trace that is being driven.
@@ -182,14 +181,9 @@ def _set(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
         return
     matrix = np.frombuffer(states, dtype=np.float32).reshape(-1, len(ATTRIBUTES))
     trace = Trace.of_packed(data, **known_states("route", matrix))
-    verdict, kind, fault = (
-        Verdict(values["degrees"], tuple(values["violated"])),
-        values.get("class"),
-        values.get("fault"),
-    )
-    judging.set_result(
-        Judgment(data, trace, values["end"], values["duration"], verdict, kind, fault, None, lines, scenario)
-    )
+    verdict, outcome = Verdict(values["degrees"], tuple(values["violated"])), (values["end"], values["duration"])
+    named = values.get("class"), values.get("fault")
+    judging.set_result(Judgment(data, trace, *outcome, verdict, *named, failure=None, lines=lines, scenario=scenario))
 
 
 def pass_by() -> Trace:

@@ -7,22 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
-from behavexplor.data.logical import LogicalScenario, draws
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.logical import draws as draws  # noqa: PLC0414 - it belongs to this interface
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.judge.specs import Verdict
 
-__all__ = [
-    "INITIAL",
-    "MAX_FAILED_INITIAL",
-    "MAX_POPULATION",
-    "UNIFORM",
-    "Candidate",
-    "SearchExhausted",
-    "SearchMethod",
-    "draws",
-    "nothing_to_mutate",
-]
 INITIAL, UNIFORM = "initial", "uniform"  # origins of candidates without a parent
 MAX_POPULATION = 1000  # greatest population of a method that compares all pairs of its members
 MAX_FAILED_INITIAL = 1000  # a search ends if this many initial scenarios have all failed
