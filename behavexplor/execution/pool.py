@@ -301,6 +301,7 @@ class _Worker:
         self.connection: Connection
         self.connection, theirs = context.Pipe()
         self.asking = context.RawValue("b", 0)  # 1 while the worker calls its ADS; see `share_asking`
+        self._together = recipe.together
         self.is_confined = is_confined  # third-party code runs in it, which is to blame if it dies at any time
         self.output = WorkerOutput() if is_confined and CAN_LEAVE else None  # others print on our terminal
         pipe = self.output.theirs if self.output else None
@@ -331,7 +332,8 @@ class _Worker:
 
     def room(self, share: int) -> int:
         """Return how many more calls the worker can take beside others, up to a share of all calls."""
-        return 0 if self.is_alone else min(self.capacity, share) - len(self.tasks)
+        ahead = self._together - 1 if self.capacity > 1 else 0  # as many answers may wait for others
+        return 0 if self.is_alone else min(self.capacity + ahead, share) - len(self.tasks)
 
     def ask(self, tasks: Mapping[int, _Task], time_limit: float) -> None:
         """Send calls to the worker, by their keys."""

@@ -151,7 +151,7 @@ class _Answers:
 def _work(answers: _Answers, requests: "queue.SimpleQueue[Request | None]", service: Service) -> None:
     batch, working = service.batch, 0
     while True:
-        while working == 0 or not requests.empty():
+        while working == 0 or (batch and working < batch.capacity and not requests.empty()):
             answers.send(at_once=working == 0)
             if (request := requests.get()) is None:
                 return
