@@ -110,9 +110,9 @@ def answered_error(answer: bytes) -> Exception | None:
 
 def _ads_error(text: str) -> ADSError:
     values = json.loads(text)
-    if not (isinstance(values, dict) and {*values} == {"kind", "message", "place"} and values["kind"] in ADS_FAILURES):
+    if not (isinstance(values, dict) and {"kind", "message"} <= {*values} and values["kind"] in ADS_FAILURES):
         raise ValueError("not a failure of an ADS")
-    return ADSError(*(str(values[name]) for name in ("kind", "message", "place")))
+    return ADSError(values["kind"], str(values["message"]), str(values.get("place", "")))
 
 
 def settle(future: "Future[Any]", answer: bytes) -> None:
