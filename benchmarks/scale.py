@@ -23,6 +23,7 @@ Row = dict[str, Any]
 
 CAMPAIGNS = (
     ("intersection-straight", "constant", "uniform"),
+    ("intersection-straight", "constant", "nsga2"),
     ("intersection-straight", "constant", "behavexplor"),
     ("lane-change", "learned:lane-change", "uniform"),
     ("lane-change", "learned:lane-change", "behavexplor"),
@@ -50,7 +51,7 @@ class MemoryExecutor(Executor):
     """Stands for any number of workers: it answers from memory.
 
     Args:
-        answers: the trace of each scenario, both as bytes.
+        answers: the trace for each request, both as bytes.
     """
 
     room = 256
@@ -108,8 +109,12 @@ def measured(env: str, ads: str, method: str, workers: int, budget: int) -> Row:
             logical = ready.campaign.logical
         if workers == 1:
             with closing(Store.read(Path(folder, "run"))) as store:
-                answers = {one.scenario.to_json().encode(): one.trace for one in store.executions()}
-            store, judges = Store.create(Path(folder, "fed"), config.to_yaml()), Judges(workers)
+                answers = {
+                    request.encode(): one.trace
+                    for one in store.executions()
+                    for request in (json.dumps(one.record.scenario), json.dumps([config.seed, one.id]))
+                }
+            store, judges = Store.create(Path(folder, "fed"), config.to_yaml()), Judges(workers, logical)
             fed = Campaign(
                 config, search_method(config, logical), logical, store, MemoryExecutor(answers), judges=judges
             )

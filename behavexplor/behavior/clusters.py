@@ -54,12 +54,9 @@ class AbstractTraces:
         (Hamming distance over the common part + difference of the lengths) / the longer length, in [0, 1]. That of two
         empty traces is 0. There is one distance for each of these.
         """
-        starts = self._starts[: self._count + 1]
-        differing = np.empty(self._count, dtype=np.int64)
-        count_differing(self._labels, starts, labels, differing)
-        lengths = np.diff(starts)
-        differing += np.abs(lengths - len(labels))
-        return np.asarray(differing / np.maximum(np.maximum(lengths, len(labels)), 1))
+        distances = np.empty(self._count)
+        find_distances(self._labels, self._starts[: self._count + 1], labels, distances)
+        return distances
 
 
 def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:
@@ -72,20 +69,21 @@ def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:
 
 
 @kernel_in_place
-def count_differing(
-    labels: NDArray[np.uint8], starts: NDArray[np.int64], query: NDArray[np.uint8], differing: NDArray[np.int64]
+def find_distances(
+    labels: NDArray[np.uint8], starts: NDArray[np.int64], query: NDArray[np.uint8], distances: Floats
 ) -> None:
-    """Count the labels in which a query differs from each abstract trace, over their common part.
+    """Find the distance of a query from each abstract trace, see `AbstractTraces.distances`.
 
     The labels of all n abstract traces stand one after the other; `starts`, shape (n + 1,), are the places of their
-    first labels, and the end of the last one. The numbers, shape (n,), are put in `differing`.
+    first labels, and the end of the last one. The distances, shape (n,), are changed in place.
     """
-    for i in range(len(differing)):
+    for i in range(len(distances)):
         first = starts[i]
         count = np.int32(0)  # the processor adds up more of them at once than of longer numbers
-        for k in range(min(starts[i + 1] - first, len(query))):
+        length = starts[i + 1] - first
+        for k in range(min(length, len(query))):
             count += np.int32(labels[first + k] != query[k])
-        differing[i] = count
+        distances[i] = (count + abs(length - len(query))) / max(length, len(query), 1)
 
 
 class Clusters(NamedTuple):

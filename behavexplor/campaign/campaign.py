@@ -7,9 +7,10 @@ campaign therefore does not depend on how its scenarios are executed.
 Resuming a campaign means running it again with the stored traces in place of executions.
 """
 
+import json
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from behavexplor.campaign.confirmation import unconfirmed
 from behavexplor.campaign.judges import Judges
 from behavexplor.campaign.judgment import Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
-from behavexplor.campaign.record import ERROR, Record
+from behavexplor.campaign.record import ENCODED, ERROR, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.campaign.uniform_rate import MOST, SHARE, UniformRate
 from behavexplor.data.logical import LogicalScenario
@@ -40,6 +41,7 @@ from behavexplor.judge.specs import SPECS, Spec
 COMMIT_ROWS = 50  # greatest number of executions in one commit
 _UNIFORM: Final = 0x75_6E_69_66  # separates the scenarios that no search has chosen from those of the campaign
 _MOST_EARLY: Final = 1024  # candidates in flight, so that one of a long episode does not fill the memory with others
+TOGETHER: Final = 16  # candidates that are asked for early at a time, and answers that are sent together
 COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
 
 
@@ -53,6 +55,7 @@ class _Pending:
 
     candidate: Candidate
     result: Future[bytes] | Execution
+    scenario: str = ""  # the scenario as JSON; empty if a judge draws it
     judging: Future[Judgment] | None = None  # in another process
     judgment: Judgment | None = None
 
@@ -143,7 +146,7 @@ class Campaign:
             return
         generator, failed = np.random.default_rng([_UNIFORM, self._config.seed]), 0
         candidates = [Candidate(number, self.logical.sample(generator), "uniform", None) for number in range(count)]
-        for pending in [_Pending(one, self._submit(one)) for one in candidates]:
+        for pending in [self._begun(one) for one in candidates]:
             if self.stopping:
                 return
             failed += self._judgment(pending).verdict.failed
@@ -193,7 +196,9 @@ class Campaign:
 
     def _ask_all(self) -> str | None:
         """Ask for candidates until the batch is full. Return why the search ended, or None if it has not."""
-        while self._has_room() and self._within_budget() and not self.stopping:
+        for _ in self._places():
+            if self.stopping or not self._within_budget():
+                break
             try:
                 with self._during(Stage.ASKING, self._asked):
                     candidate = self._method.ask()
@@ -203,11 +208,16 @@ class Campaign:
             self._pending.append(self._execute(candidate))
         return None
 
-    def _has_room(self) -> bool:
-        """Return whether the batch has room for a candidate, or one that needs no result can be executed early."""
-        in_flight = len(self._pending)
-        is_foreseen = getattr(self._method, "foreseen", 0) > 0
-        return in_flight < self._config.batch or (is_foreseen and in_flight < _MOST_EARLY and self._executor.room > 0)
+    def _places(self) -> Iterator[int]:
+        """Yield while there is room for a candidate in the batch, or for many that need no result, early."""
+        while True:
+            in_flight = len(self._pending)
+            early = min(getattr(self._method, "foreseen", 0), _MOST_EARLY - in_flight)
+            room = self._executor.room if early > 0 else 0
+            count = max(self._config.batch - in_flight, min(early, room) if room >= min(TOGETHER, in_flight) else 0)
+            if count <= 0:
+                return
+            yield from range(count)
 
     def _within_budget(self) -> bool:
         if self._budget.executions is not None:
@@ -218,9 +228,7 @@ class Campaign:
         stored = self._store.recall(candidate.number) if candidate.number < self._stored else None
         if stored is None:
             with self.clock.during(self._executing):
-                result = self._submit(candidate)
-            judges = self._judges if self._judges and self._judges.are_ready else None
-            return _Pending(candidate, result, judges.follow(result) if judges else None)
+                return self._begun(candidate)
         if stored.scenario != candidate.scenario:
             raise InputError(
                 f"The run cannot be resumed: execution {candidate.number} would now be a different scenario, so the "
@@ -233,17 +241,29 @@ class Campaign:
             )
         return _Pending(candidate, stored)
 
-    def _submit(self, candidate: Candidate) -> Future[bytes]:
+    def _begun(self, candidate: Candidate) -> _Pending:
+        """Let a worker execute a candidate, and a judge judge it if there are any."""
+        judges, drawn, scenario = self._judges, "", ""
+        if candidate.seed is not None and judges is not None and judges.can_draw:
+            drawn = json.dumps([candidate.seed, candidate.number])
+        else:
+            scenario = ENCODED(candidate.scenario.to_dict())
+        result = self._submit(candidate.number, drawn or scenario)
+        if judges is None or not (drawn or judges.are_ready):
+            return _Pending(candidate, result, scenario)
+        return _Pending(candidate, result, scenario, judges.follow(result, drawn.encode()))
+
+    def _submit(self, number: int, request: str) -> Future[bytes]:
         try:
-            return self._executor.submit(EXECUTE, candidate.scenario.to_json().encode())
+            return self._executor.submit(EXECUTE, request.encode())
         except RuntimeError as error:  # the executor has been shut down
-            raise ExecutionError(f"Execution {candidate.number} could not be carried out: {error}") from error
+            raise ExecutionError(f"Execution {number} could not be carried out: {error}") from error
 
     def _tell(self, oldest: _Pending) -> None:
         """Tell the method a result, and store the record unless it is already stored."""
         self._judge_others_until(oldest)
         judged = oldest.judgment or self._judgment(oldest)
-        record = self._record(oldest.candidate, judged)
+        record = self._record(oldest, judged)
         self._failures += record.failed
         if not isinstance(oldest.result, Execution):
             self._store.add(Execution(record, judged.data, self.elapsed))
@@ -257,6 +277,8 @@ class Campaign:
 
     def _judge_others_until(self, oldest: _Pending) -> None:
         """Judge candidates that have been executed early, until the oldest one has been executed as well."""
+        if oldest.judging is not None:  # others judge it, and all that have been asked for since
+            return
         for other in self._pending:
             if oldest.is_executed:
                 return
@@ -296,11 +318,14 @@ class Campaign:
                 place = f"in execution {candidate.number} of {self._store.folder}"
                 raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
 
-    def _record(self, candidate: Candidate, judged: Judgment) -> Record:
+    def _record(self, pending: _Pending, judged: Judgment) -> Record:
+        candidate = pending.candidate
         with self._during(Stage.MINING, candidate.number):
             novelty = self._archive.observe(judged.trace)
             learned = self._method.tell(candidate, judged.trace, judged.verdict)
-        return Record(
+        return Record.of_outcome(
+            judged.lines,
+            pending.scenario or judged.scenario or ENCODED(candidate.scenario.to_dict()),
             id=candidate.number,
             origin=candidate.origin,
             parent=candidate.parent,
@@ -315,7 +340,6 @@ class Campaign:
             novelty=novelty,
             novel=novelty > self._archive.options.threshold,
             search=dict(learned),
-            scenario=candidate.scenario.to_dict(),
         )
 
     def _commit(self, observe: Callable[[Progress], None], rows: int, seconds: float) -> None:

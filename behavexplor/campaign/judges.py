@@ -12,15 +12,20 @@ from concurrent.futures import CancelledError, Future
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from behavexplor.behavior.features import ATTRIBUTES, known_states, state_matrix
 from behavexplor.campaign.judgment import Judgment, judgment
+from behavexplor.campaign.record import ENCODED, lines_of
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.logical import LogicalScenario, draws
 from behavexplor.data.trace import Trace
+from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.executor import ADSError
+from behavexplor.execution.messages import packed, unpacked
 from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.service import Recipe, Service
 from behavexplor.jit import keep_code_in
@@ -32,15 +37,26 @@ LEAST: Final = 1500  # executions of a campaign for which it pays to start proce
 MOST: Final = 64  # traces that are judged at a time
 PATIENCE: Final = 600.0  # time limit of a group [s]
 FRAMES: Final = 31  # of the trace of `pass_by`
-_LENGTH: Final = 8  # of a length [bytes]
+_END: Final = b"\0"  # of the lines about a trace
 _SPEED: Final = 10.0  # [m/s]
 
 
 class JudgeService(Service):
-    """Judges traces by the built-in specs; see `judged`."""
+    """Judges traces by the built-in specs, and draws their scenarios if workers have drawn them; see `judged`.
 
-    def __init__(self) -> None:
-        self.functions = {JUDGE: lambda request: packed([judged(data) for data in unpacked(request)])}
+    Args:
+        env: name of the environment with the logical scenario.
+        logical: the logical scenario as JSON, if its name does not say all.
+    """
+
+    def __init__(self, env: str = "", logical: str = "") -> None:
+        named: LogicalScenario | None = LOGICAL_SCENARIOS.get(env)
+        self._logical = DrawnLogicalScenario.from_json(logical) if logical else named
+        self.functions = {JUDGE: self._judge}
+
+    def _judge(self, request: bytes) -> bytes:
+        parts = iter(unpacked(request))
+        return packed([judged(data, drawn, self._logical) for drawn, data in zip(parts, parts, strict=True)])
 
     def confine(self) -> None:
         """Give up the rights of this process, because traces come from processes of third-party code."""
@@ -52,6 +68,14 @@ class JudgeService(Service):
         judged(pass_by().to_bytes())
 
 
+class _Driven(NamedTuple):
+    """A trace that waits for its judgment."""
+
+    judging: "Future[Judgment]"
+    drawn: bytes  # the seed and the number by which its scenario was drawn; empty if the campaign knows the scenario
+    data: bytes
+
+
 class Judges:
     """Processes that judge the traces of a campaign, which arrive one by one and are judged in groups.
 
@@ -59,30 +83,38 @@ class Judges:
     workers drive.
     """
 
-    def __init__(self, n_workers: int) -> None:
+    def __init__(self, n_workers: int, logical: LogicalScenario | None = None) -> None:
         self._count = -(-n_workers // WORKERS_OF_A_JUDGE)
+        self._settings = {"env": logical.name, "logical": logical.to_json()} if logical else {}
+        self._knows = logical is not None and bool(logical.to_json() or logical.name in LOGICAL_SCENARIOS)
         self._pool: WorkerPool | None = None
         self._begun: Future[bytes] | None = None
         self._lock = Lock()  # guards the following fields, which the threads of two executors change
-        self._waiting: list[tuple[Future[Judgment], bytes]] = []
+        self._waiting: list[_Driven] = []
         self._groups = 0  # under way
 
     @property
     def are_ready(self) -> bool:
         """True if traces can be given to `follow`. The first question starts the processes."""
         if self._pool is None and self._count:
-            recipe = Recipe(f"{__name__}:{JudgeService.__name__}", batched=JUDGE)
+            recipe = Recipe(f"{__name__}:{JudgeService.__name__}", self._settings, batched=JUDGE)
             self._pool = WorkerPool(self._count, recipe, PATIENCE, math.inf)
             self._begun = self._pool.submit(JUDGE, b"")
         return self._begun is not None and self._begun.done() and self._begun.exception() is None
 
-    def follow(self, driven: "Future[bytes]") -> "Future[Judgment]":
+    @property
+    def can_draw(self) -> bool:
+        """True if they will draw the scenarios of uniform candidates, which can be given to `follow` at once."""
+        return self._knows and (self.are_ready or (self._begun is not None and not self._begun.done()))
+
+    def follow(self, driven: "Future[bytes]", drawn: bytes = b"") -> "Future[Judgment]":
         """Return the future judgment of a trace that is being driven.
 
-        Its exception is that of the driven trace, or an `ADSError` if what was driven is no trace.
+        If the worker has drawn the scenario, `drawn` is what it was asked for, so that a judge draws it again. The
+        exception is that of the driven trace, or an `ADSError` if what was driven is no trace.
         """
         judging: Future[Judgment] = Future()
-        driven.add_done_callback(partial(self._take, judging))
+        driven.add_done_callback(partial(self._take, judging, drawn))
         return judging
 
     def shutdown(self) -> None:
@@ -92,14 +124,14 @@ class Judges:
         if self._pool is not None:
             self._pool.shutdown(wait=False)
 
-    def _take(self, judging: "Future[Judgment]", driven: "Future[bytes]") -> None:
+    def _take(self, judging: "Future[Judgment]", drawn: bytes, driven: "Future[bytes]") -> None:
         try:
             data = driven.result()
         except (Exception, CancelledError) as error:
             judging.set_exception(error)
             return
         with self._lock:
-            self._waiting.append((judging, data))
+            self._waiting.append(_Driven(judging, drawn, data))
         self._send()
 
     def _send(self) -> None:
@@ -108,65 +140,50 @@ class Judges:
                 return
             group, self._waiting = self._waiting[:MOST], self._waiting[MOST:]
             self._groups += 1
-            answer = self._pool.submit(JUDGE, packed([data for _, data in group]))
+            answer = self._pool.submit(JUDGE, packed([part for one in group for part in (one.drawn, one.data)]))
         answer.add_done_callback(partial(self._settle, group))
 
-    def _settle(self, group: "Sequence[tuple[Future[Judgment], bytes]]", answer: "Future[bytes]") -> None:
+    def _settle(self, group: "Sequence[_Driven]", answer: "Future[bytes]") -> None:
         with self._lock:
             self._groups -= 1
         try:
-            for (judging, data), found in zip(group, unpacked(answer.result()), strict=True):
-                _set(judging, data, found)
+            for one, found in zip(group, unpacked(answer.result()), strict=True):
+                _set(one.judging, one.data, found)
         except (Exception, CancelledError) as error:
-            for judging, _ in group:
-                if not judging.done():
-                    judging.set_exception(error)
+            for one in group:
+                if not one.judging.done():
+                    one.judging.set_exception(error)
         self._send()
 
 
-def judged(data: bytes) -> bytes:
+def judged(data: bytes, drawn: bytes = b"", logical: LogicalScenario | None = None) -> bytes:
     """Judge the bytes of a trace by the built-in specs.
 
-    Return a line of JSON with the figures of a `behavexplor.campaign.judgment.Judgment`, and the ego's states as
-    float32, see `behavexplor.behavior.features.state_matrix`; or a line with a text in place of the figures if the
-    bytes are no trace, which is the failure of the driver.
+    Return the lines of a `behavexplor.campaign.judgment.Judgment`, and after a zero the ego's states as float32, see
+    `behavexplor.behavior.features.state_matrix`; or a line with an error in place of the figures if the bytes are no
+    trace, which is the failure of the driver. If a scenario was `drawn` by a seed and a number, it is the last line.
     """
     try:
         found = judgment(data, None, SPECS)
     except ADSError as error:
-        return json.dumps(error.message).encode() + b"\n"
-    figures = (dict(found.verdict.degrees), found.verdict.violated, found.violation_class, found.fault)
-    head = json.dumps([found.end, found.duration, *figures])
-    return head.encode() + b"\n" + state_matrix(found.trace).tobytes()
+        return lines_of({"error": error.message})[0].encode() + _END
+    scenario = ENCODED(logical.sample(draws(*json.loads(drawn))).to_dict()) if drawn and logical else ""
+    return "\n".join([*found.lines, scenario]).encode() + _END + state_matrix(found.trace).tobytes()
 
 
 def _set(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
     """Set what `judged` has returned on a future."""
-    head, _, states = found.partition(b"\n")
-    values: Any = json.loads(head)
-    if isinstance(values, str):
-        judging.set_exception(ADSError("crash", values))
+    head, _, states = found.partition(_END)
+    *lines, scenario = head.decode().split("\n")
+    values = json.loads(f"{{{','.join(lines or [scenario])}}}")
+    if "error" in values:
+        judging.set_exception(ADSError("crash", values["error"]))
         return
-    end, duration, degrees, violated, kind, fault = values
     matrix = np.frombuffer(states, dtype=np.float32).reshape(-1, len(ATTRIBUTES))
     trace = Trace.of_packed(data, **known_states("route", matrix))
-    verdict = Verdict(degrees, tuple(violated))
-    judging.set_result(Judgment(data, trace, end, duration, verdict, kind, fault, None))
-
-
-def packed(parts: Sequence[bytes]) -> bytes:
-    """Return some bytes as one message, for `unpacked`."""
-    return b"".join(len(part).to_bytes(_LENGTH) + part for part in parts)
-
-
-def unpacked(message: bytes) -> list[bytes]:
-    """Return the bytes in a message of `packed`."""
-    parts, begin = [], 0
-    while begin < len(message):
-        end = begin + _LENGTH + int.from_bytes(message[begin : begin + _LENGTH])
-        parts.append(message[begin + _LENGTH : end])
-        begin = end
-    return parts
+    verdict, outcome = Verdict(values["degrees"], tuple(values["violated"])), (values["end"], values["duration"])
+    named = values.get("class"), values.get("fault")
+    judging.set_result(Judgment(data, trace, *outcome, verdict, *named, failure=None, lines=lines, scenario=scenario))
 
 
 def pass_by() -> Trace:

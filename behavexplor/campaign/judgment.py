@@ -4,9 +4,10 @@ import re
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from typing import Any
 
 from behavexplor.campaign.confirmation import Confirmation, difference, keep
-from behavexplor.campaign.record import ERROR
+from behavexplor.campaign.record import ERROR, lines_of
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
@@ -32,6 +33,8 @@ class Judgment:
     violation_class: str | None  # id of the failure's class; None for a passed execution
     fault: str | None  # who was at fault in a collision, as stored in a record
     failure: dict[str, str] | None  # how the ADS failed, as stored in a record; None if it did not
+    lines: Sequence[str]  # all that as it stands in a record, see `Record.of_outcome`
+    scenario: str | None = None  # the scenario as JSON, if a judge has drawn it again
 
 
 def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec]) -> Judgment:
@@ -49,7 +52,18 @@ def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec])
     if failure is not None:
         verdict = replace(verdict, violated=(ERROR,))
     kind, fault = _class_id(trace, verdict, failure), collision_fault(trace, verdict.violated)
-    return Judgment(data, trace, trace.end, trace.duration, verdict, kind, fault, failure)
+    written: dict[str, Any] = {
+        "end": trace.end,
+        "error": failure,
+        "duration": trace.duration,
+        "violated": verdict.violated,
+        "class": kind,
+        "fault": fault,
+        "degree": verdict.degree,
+        "degrees": dict(verdict.degrees),
+    }
+    lines = lines_of({name: value for name, value in written.items() if value is not None})
+    return Judgment(data, trace, trace.end, trace.duration, verdict, kind, fault, failure, lines)
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:

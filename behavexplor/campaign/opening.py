@@ -1,10 +1,11 @@
 """Setup and teardown of a campaign: its search method, executor, ADS check and run folder."""
 
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 
@@ -13,7 +14,7 @@ import numpy as np
 from behavexplor.ads.interface import ADS
 from behavexplor.behavior.clusters import k_means
 from behavexplor.behavior.miner import NoveltyArchive
-from behavexplor.campaign.campaign import Campaign, search_method
+from behavexplor.campaign.campaign import TOGETHER, Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, point_to_latest, stored_config
 from behavexplor.campaign.judges import FRAMES, LEAST, Judges, pass_by
 from behavexplor.campaign.progress import Stage
@@ -104,7 +105,7 @@ def opened(
         stack.callback(store.close)
         check_identity(store, identity)
         _complete(folder, logical, executor)
-        judges = _judges(config, workers)
+        judges = _judges(config, workers, logical)
         stack.callback(judges.shutdown)
         campaign = Campaign(config, search, logical, store, executor, specs, stop_after, judges)
         campaign.clock.seconds[Stage.STARTING] = time.monotonic() - begun
@@ -119,13 +120,15 @@ def _foresees(config: CampaignConfig) -> bool:
 
 
 def _recipe(config: CampaignConfig) -> Recipe:
+    if getattr(load_method(config.method), "foreseen", None) == sys.maxsize:  # nobody waits for a single result
+        return replace(evaluator_recipe(config.target), together=TOGETHER)
     return evaluator_recipe(config.target, LOCK_STEP if _foresees(config) else config.batch)
 
 
-def _judges(config: CampaignConfig, workers: int) -> Judges:
+def _judges(config: CampaignConfig, workers: int, logical: LogicalScenario) -> Judges:
     """Return the judges of a campaign: none for a short one, or if the user's own specs judge, too."""
     is_long = (Budget.parse(config.budget).executions or LEAST) >= LEAST
-    return Judges(workers if is_long and not config.specs else 0)
+    return Judges(workers if is_long and not config.specs else 0, logical)
 
 
 def _of_idle_workers(config: CampaignConfig, workers: int) -> list[str]:

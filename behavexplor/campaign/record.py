@@ -1,10 +1,10 @@
 """Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -84,9 +84,41 @@ class Record:
         values["violated"] = list(self.violated)
         return {name: value for name, value in values.items() if value is not None or name == "parent"}
 
+    @property
+    def lines(self) -> Sequence[str]:
+        """The record as lines of JSON, one for each field."""
+        return vars(self).get("_lines") or lines_of(self.to_dict())
+
     def to_json(self) -> str:
         """Return the record as JSON."""
-        return json.dumps(self.to_dict(), allow_nan=False)
+        return f"{{{', '.join(self.lines)}}}"
+
+    @classmethod
+    def of_outcome(cls, outcome: Sequence[str], scenario: str, **values: Any) -> Self:
+        """Return a record of which a part has been written already, so that it need not be written again.
+
+        Args:
+            outcome: the fields from `end` to `degrees`, as lines of JSON.
+            scenario: the scenario as JSON, which is read when it is asked for.
+            values: all fields but the scenario.
+        """
+        record = object.__new__(cls)
+        numbers = ENCODED([values[name] for name in ("id", "parent", "novelty", "novel")])[1:-1].split(", ")
+        origin, search = ENCODED(values["origin"]), ENCODED(values["search"])
+        named = (("id", numbers[0]), ("origin", origin), ("parent", numbers[1]))
+        others = (("novelty", numbers[2]), ("novel", numbers[3]), ("search", search), ("scenario", scenario))
+        before, after = ([f'"{name}": {text}' for name, text in texts] for texts in (named, others))
+        record.__dict__.update(values, _lines=(*before, *outcome, *after), _scenario=scenario)
+        return record
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Read the scenario of `of_outcome`."""
+            if name != "scenario" or "_scenario" not in vars(self):
+                raise AttributeError(f"a record has no attribute {name!r}")
+            self.__dict__["scenario"] = json.loads(self._scenario)
+            return self.scenario
 
     @classmethod
     def from_json(cls, data: bytes | str) -> Self:
@@ -105,6 +137,12 @@ class Record:
 _ADAPTER: Final = TypeAdapter(Record)
 _NAMES: Final = tuple(one.name for one in fields(Record))
 _KEYS: Final = {"violation_class": "class"}  # of a record in JSON, where they are not the names of the fields
+ENCODED: Final = json.JSONEncoder(allow_nan=False).encode  # without the time that `json.dumps` takes to make one
+
+
+def lines_of(values: Mapping[str, Any]) -> list[str]:
+    """Return JSON values by name as they stand in a record, one line each."""
+    return [f'"{name}": {ENCODED(value)}' for name, value in values.items()]
 
 
 @dataclass

@@ -29,8 +29,11 @@ def write_whole(path: Path, text: str) -> None:
     Raises:
         OSError: if it cannot be written.
     """
-    with new_file(path, waits=False) as file:
+    _check_replaceable(path)
+    partial = Path(f"{path}.part")
+    with _new(partial) as file:
         file.write(text.encode())
+    partial.replace(path)
 
 
 def write_given(path: Path, text: str) -> None:
@@ -59,30 +62,45 @@ def append_durably(path: Path, content: bytes) -> None:
 
 
 @contextmanager
-def new_file(path: Path, *, waits: bool = True) -> Iterator[BufferedWriter]:
-    """Open a new file, which takes the place of `path` when the block ends without an error.
+def new_file(path: Path) -> Iterator[BufferedWriter]:
+    """Open a new file, which is flushed to disk and takes the place of `path` when the block ends without an error.
 
-    A link in that place is replaced, and what it leads to is left as it is. If `waits`, the file is flushed to disk.
+    A link in that place is replaced, and what it leads to is left as it is.
 
     Raises:
         OSError: if the file cannot be written, or something other than a file is in its place.
     """
-    if path.is_dir():  # before anything is written; the folders "." and "/" have no names to change, either
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EEXIST, "it is a pipe or a device, and no file", str(path))
+    _check_replaceable(path)
     partial = path.with_name(path.name + ".part")
-    partial.unlink(missing_ok=True)  # of an earlier crash
-    with partial.open("xb") as file:  # which follows no link
+    with _new(partial) as file:
         try:
             yield file
             file.flush()
-            if waits:
-                os.fsync(file.fileno())
+            os.fsync(file.fileno())
         except BaseException:
             partial.unlink(missing_ok=True)
             raise
     partial.replace(path)
+
+
+def _check_replaceable(path: Path) -> None:
+    """Check before anything is written that a file can take the place of what is there."""
+    try:
+        kind = path.stat().st_mode
+    except OSError:  # nothing is there, or a link that leads to nothing
+        return
+    if stat.S_ISDIR(kind):  # the folders "." and "/" have no names to change, either
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(kind):
+        raise OSError(errno.EEXIST, "it is a pipe or a device, and no file", str(path))
+
+
+def _new(partial: Path) -> BufferedWriter:
+    try:
+        return partial.open("xb")  # which follows no link
+    except FileExistsError:  # of an earlier crash
+        partial.unlink()
+        return partial.open("xb")
 
 
 def folder_in(folder: Path, *names: str) -> Path:

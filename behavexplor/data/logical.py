@@ -121,6 +121,17 @@ class Encoding(Protocol):
         ...
 
 
+def draws(seed: int, number: int, *purpose: int) -> np.random.Generator:
+    """Return the random number generator of one candidate. It depends only on the arguments.
+
+    Args:
+        seed: seed of the campaign.
+        number: number of the candidate.
+        purpose: integers that make separate generators for the same candidate, one for each purpose.
+    """
+    return np.random.default_rng([seed, number, *purpose])
+
+
 class LogicalScenario(Protocol):
     """A set of concrete scenarios. The scenarios that its methods take must be valid in it."""
 

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Self
 
 from behavexplor.data.untrusted import object_fields
@@ -34,8 +35,11 @@ class Waypoint:
     speed: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", _number("position", self.position))
-        object.__setattr__(self, "speed", _number("speed", self.speed))
+        position, speed = self.position, self.speed
+        if type(position) is float is type(speed) and 0.0 <= position < MAX_NUMBER and 0.0 <= speed < MAX_NUMBER:
+            return  # nearly always
+        object.__setattr__(self, "position", _number("position", position))
+        object.__setattr__(self, "speed", _number("speed", speed))
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +69,9 @@ class NPC:
             if not isinstance(waypoint, Waypoint):
                 raise InputError(f"waypoints[{i}]: expected a Waypoint, got {brief(waypoint)}")
         positions = [waypoint.position for waypoint in self.waypoints]
-        for i in range(1, len(positions)):
-            if positions[i] < positions[i - 1]:
-                raise InputError(
-                    f"waypoints[{i}].position: {positions[i]} lies before the previous waypoint's {positions[i - 1]}"
-                )
+        for i, (before, position) in enumerate(pairwise(positions), 1):
+            if position < before:
+                raise InputError(f"waypoints[{i}].position: {position} lies before the previous waypoint's {before}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,8 +196,6 @@ def _text(name: str, value: object) -> str:
 
 
 def _number(name: str, value: object) -> float:
-    if type(value) is float and 0.0 <= value < MAX_NUMBER:  # nearly always
-        return value
     number = math.nan
     if isinstance(value, int | float) and not isinstance(value, bool):
         number = float(value) if abs(value) < MAX_NUMBER else math.inf

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.logical import Mutations, Noise, Part, Parts, Value
-from behavexplor.data.roadmap import Route
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.data.scripted_ranges import ScriptedRanges
+from behavexplor.data.scripted_ranges import ScriptedRanges, WaypointRange
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 
@@ -73,7 +72,7 @@ class ScriptedEncoding:
         if vector.shape != (self.size,) or not np.isfinite(vector).all():
             raise InputError(f"vector: expected {self.size} finite numbers, got shape {vector.shape}")
         npcs: list[NPC] = []
-        for genes in np.clip(vector, 0.0, 1.0).reshape(self.n_blocks, self.n_genes):
+        for genes in np.clip(vector, 0.0, 1.0).reshape(self.n_blocks, self.n_genes).tolist():
             npcs.append(self._placed(genes, npcs))
         return ScriptedScenario(self.logical.name, tuple(npcs))
 
@@ -84,7 +83,7 @@ class ScriptedEncoding:
         """
         if len(scenario.npcs) != self.n_blocks:
             raise InputError(f"npcs: expected {self.n_blocks}, got {len(scenario.npcs)}")
-        return np.concatenate([self._block(npc) for npc in scenario.npcs])
+        return np.array([gene for npc in scenario.npcs for gene in self._block(npc)])
 
     def features(self, vectors: Floats) -> Floats:
         """Convert vectors of genes, shape (k, n), to features for distances and regression, shape (k, features).
@@ -98,51 +97,59 @@ class ScriptedEncoding:
         ]
         return np.concatenate([*parts, blocks[..., START:]], axis=2).reshape(len(vectors), -1)
 
-    def _placed(self, genes: Floats, others: list[NPC]) -> NPC:
+    def _placed(self, genes: list[float], others: list[NPC]) -> NPC:
         """Decode an NPC from a block of genes, moved to the nearest position at which it can start beside `others`."""
-        route = int(_parts(genes[ROUTE], len(self._routes)))
-        for i in range(len(self._routes)):
-            for start in _outwards(float(genes[START])):
-                npc = self._npc(genes, self._routes[(route + i) % len(self._routes)], start)
-                if self.logical.spawn_conflict(npc, others) is None:
-                    return npc
-        raise InputError(f"{self.logical.name}: no place for {self.n_blocks} NPCs; use fewer")
+        first = _part(genes[ROUTE], len(self._routes))
+        routes = (*self._routes[first:], *self._routes[:first])
+        starting = (self._starting(genes, route.name, start) for route in routes for start in _outwards(genes[START]))
+        npc = self.logical.first_to_fit(starting, others)
+        if npc is None:
+            raise InputError(f"{self.logical.name}: no place for {self.n_blocks} NPCs; use fewer")
+        waypoints, ranges = list(npc.waypoints), self.logical.ranges[npc.route]
+        speeds = [*genes[START + self._n_waypoints :], 0.0]
+        for allowed, share, speed in zip(ranges[1:], genes[START + 1 :], speeds[1:], strict=False):
+            waypoints.append(_waypoint(allowed, waypoints[-1].position, share, speed))
+        return NPC(npc.type, npc.route, tuple(waypoints))
 
-    def _npc(self, genes: Floats, route: Route, start: float) -> NPC:
-        kinds = self.logical.vehicle_types
-        ranges = self.logical.position_ranges(route)
-        shares = [start, *genes[START + 1 : START + len(ranges)].tolist()]
-        slowest, fastest = self.logical.speed_range
-        speeds = slowest + genes[self.speed_genes[: len(ranges) - 1]] * (fastest - slowest)
-        positions = [0.0]
-        for (first, high), share in zip(ranges.tolist(), shares, strict=True):
-            low = max(first, positions[-1])
-            positions.append(min(max(round(low + share * (high - low), _DIGITS), low), high))
-        speeds = np.clip(speeds.round(_DIGITS), slowest, fastest)
-        waypoints = map(Waypoint, positions[1:], [*speeds.tolist(), 0.0])
-        return NPC(kinds[int(_parts(genes[TYPE], len(kinds)))], route.name, tuple(waypoints))
+    def _starting(self, genes: list[float], route: str, start: float) -> NPC:
+        """Decode an NPC with its first waypoint only."""
+        kinds, speeds = self.logical.vehicle_types, [*genes[START + self._n_waypoints :], 0.0]
+        waypoint = _waypoint(self.logical.ranges[route][0], 0.0, start, speeds[0])
+        return NPC(kinds[_part(genes[TYPE], len(kinds))], route, (waypoint,))
 
-    def _block(self, npc: NPC) -> Floats:
+    def _block(self, npc: NPC) -> list[float]:
         kinds, names = self.logical.vehicle_types, [route.name for route in self._routes]
-        route = self._routes[names.index(npc.route)]
-        genes = np.full(self.n_genes, _UNUSED)
+        genes = [_UNUSED] * self.n_genes
         genes[TYPE] = (kinds.index(npc.type) + 0.5) / len(kinds)
         genes[ROUTE] = (names.index(npc.route) + 0.5) / len(names)
-        slowest, fastest = self.logical.speed_range
         previous = 0.0
-        ranges = self.logical.position_ranges(route).tolist()
-        for i, ((first, high), waypoint) in enumerate(zip(ranges, npc.waypoints, strict=True)):
-            low = max(first, previous)
+        for i, (allowed, waypoint) in enumerate(zip(self.logical.ranges[npc.route], npc.waypoints, strict=True)):
+            low = max(allowed.start, previous)
             previous = waypoint.position
-            genes[START + i] = (previous - low) / (high - low) if high > low else _UNUSED
+            genes[START + i] = (previous - low) / (allowed.end - low) if allowed.end > low else _UNUSED
             if i < len(npc.waypoints) - 1:
-                genes[self.speed_genes[i]] = (waypoint.speed - slowest) / (fastest - slowest)
+                share = (waypoint.speed - allowed.slowest) / (allowed.fastest - allowed.slowest)
+                genes[START + self._n_waypoints + i] = share
         return genes
 
 
 def _parts(genes: Floats, count: int) -> NDArray[np.intp]:
     """Return the index of the part that contains each gene, among `count` equal parts of [0, 1]."""
     return np.minimum((np.clip(genes, 0.0, 1.0) * count).astype(np.intp), count - 1)
+
+
+def _part(gene: float, count: int) -> int:
+    """Return the index of the part that contains a gene in [0, 1], see `_parts`."""
+    return min(int(gene * count), count - 1)
+
+
+def _waypoint(allowed: WaypointRange, previous: float, share: float, speed: float) -> Waypoint:
+    """Return the waypoint at shares of its range behind the previous position, and of its speed range."""
+    low = max(allowed.start, previous)
+    position = round(low + share * (allowed.end - low), _DIGITS)
+    fast = allowed.slowest + speed * (allowed.fastest - allowed.slowest)
+    rounded = round(fast * 10**_DIGITS) / 10**_DIGITS  # as numpy rounds
+    return Waypoint(min(max(position, low), allowed.end), min(max(rounded, allowed.slowest), allowed.fastest))
 
 
 def _outwards(share: float) -> Iterator[float]:
@@ -160,20 +167,18 @@ def shift_waypoints(npc: NPC, logical: ScriptedRanges, rng: np.random.Generator,
     A waypoint stays in its lane. Waypoints on one lane that overtook each other are sorted. Speeds stay in their range,
     and the last one stays 0.
     """
-    low, high = logical.position_ranges(logical.roadmap.routes[npc.route]).T
-    values = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])
-    change = rng.normal(0.0, (noise.sigma_position, noise.sigma_speed), values.shape)
-    noisy = values + change * (rng.random((len(values), 1)) >= noise.point_keep_probability)
-    position = np.sort(_clipped(noisy[:, 0], low, high))
-    position = np.maximum.accumulate(_clipped(position, low, high))
-    speed = _clipped(noisy[:, 1], *logical.speed_range)
-    speed[-1] = 0.0
-    return NPC(npc.type, npc.route, tuple(map(Waypoint, position.tolist(), speed.tolist())))
-
-
-def _clipped(values: Floats, low: Floats | float, high: Floats | float) -> Floats:
-    """Return what `np.clip` returns, which takes ten times as long for a few numbers."""
-    return np.minimum(np.maximum(values, low), high)
+    ranges, count = logical.ranges[npc.route], len(npc.waypoints)
+    change = rng.normal(0.0, (noise.sigma_position, noise.sigma_speed), (count, 2))
+    change *= rng.random((count, 1)) >= noise.point_keep_probability
+    positions, speeds = [], []
+    for waypoint, allowed, (along, faster) in zip(npc.waypoints, ranges, change.tolist(), strict=True):
+        positions.append(min(max(waypoint.position + along, allowed.start), allowed.end))
+        speeds.append(min(max(waypoint.speed + faster, allowed.slowest), allowed.fastest))
+    waypoints, last = [], 0.0
+    for position, speed, allowed in zip(sorted(positions), speeds, ranges, strict=True):
+        last = max(last, min(max(position, allowed.start), allowed.end))
+        waypoints.append(Waypoint(last, speed))
+    return NPC(npc.type, npc.route, tuple(waypoints))
 
 
 def mutated(

@@ -4,7 +4,7 @@ Source: paper section 2.2, for the parameters that are searched (the NPCs' route
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Final, NamedTuple
@@ -76,7 +76,7 @@ class ScriptedRanges:
             raise InputError(f"type: {unknown_name('vehicle type', npc.type, self.vehicle_types)}")
         if npc.route not in self.roadmap.routes:
             raise InputError(f"route: {unknown_name('route', npc.route, self.roadmap.routes)}")
-        ranges = self._ranges[npc.route]
+        ranges = self.ranges[npc.route]
         if len(npc.waypoints) != len(ranges):
             raise InputError(f"waypoints: route {npc.route!r} takes {len(ranges)}, got {len(npc.waypoints)}")
         for i, (waypoint, (start, end, low, high)) in enumerate(zip(npc.waypoints, ranges, strict=True)):
@@ -96,6 +96,11 @@ class ScriptedRanges:
             The broken rule as the end of the sentence "the vehicle starts ...", or None.
         """
         return self._conflict(self._placed(npc), list(map(self._placed, others)))
+
+    def first_to_fit(self, vehicles: Iterable[NPC], others: Sequence[NPC]) -> NPC | None:
+        """Return the first of some vehicles that can start beside others, see `spawn_conflict`; None if none can."""
+        placed = list(map(self._placed, others))
+        return next((npc for npc in vehicles if self._conflict(self._placed(npc), placed) is None), None)
 
     def _conflict(self, placed: "_Placed", others: Sequence["_Placed"]) -> str | None:
         gap = _gap(placed, self._ego)
@@ -126,14 +131,14 @@ class ScriptedRanges:
         return _Placed(x, y, heading, EGO_SIZE, _radius(EGO_SIZE), self.roadmap.ego_route.lanes[0])
 
     @cached_property
-    def _ranges(self) -> dict[str, list["_Range"]]:
+    def ranges(self) -> dict[str, list["WaypointRange"]]:
         """The range of each waypoint, by route."""
         ranges = {}
         for name, route in self.roadmap.routes.items():
             positions = self.position_ranges(route).tolist()
             speeds = [self.speed_range] * (len(positions) - 1) + [(0.0, 0.0)]
             ranges[name] = [
-                _Range(start, end, slowest, fastest)
+                WaypointRange(start, end, slowest, fastest)
                 for (start, end), (slowest, fastest) in zip(positions, speeds, strict=True)
             ]
         return ranges
@@ -157,7 +162,7 @@ class ScriptedRanges:
         """Sample a vehicle with a uniform type, route and waypoints, regardless of other vehicles."""
         kind = self.vehicle_types[rng.integers(len(self.vehicle_types))]
         route = self.roadmap.npc_routes[rng.integers(len(self.roadmap.npc_routes))]
-        ranges, position, (slowest, fastest) = self._ranges[route.name], 0.0, self.speed_range
+        ranges, position, (slowest, fastest) = self.ranges[route.name], 0.0, self.speed_range
         waypoints = []
         for allowed, (along, fast) in zip(ranges, rng.random((len(ranges), 2)).tolist(), strict=True):
             least = max(allowed.start, position)
@@ -172,10 +177,9 @@ class ScriptedRanges:
         Raises:
             InputError: if none of `attempts` drawn vehicles can be placed.
         """
-        for _ in range(attempts):
-            npc = draw()
-            if self.spawn_conflict(npc, others) is None:
-                return npc
+        npc = self.first_to_fit((draw() for _ in range(attempts)), others)
+        if npc is not None:
+            return npc
         raise InputError(
             f"{self.name}: none of {attempts} draws could be placed beside {len(others)} NPCs; use fewer NPCs"
         )
@@ -190,7 +194,7 @@ def _position_ranges(route: Route, waypoints_per_lane: int, end_gap: float) -> F
     return ranges
 
 
-class _Range(NamedTuple):
+class WaypointRange(NamedTuple):
     """Where a waypoint may lie [m], and the least and greatest speed there [m/s]."""
 
     start: float

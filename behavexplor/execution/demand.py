@@ -65,5 +65,7 @@ class AwaitedFuture(Future[Any]):
 
     def result(self, timeout: float | None = None) -> Any:
         """Wait for the result, and return it; see `concurrent.futures.Future.result`."""
+        if self.done():
+            return super().result()
         with self._demand.waiting():
             return super().result(timeout)

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import is_shipped
+from behavexplor.data.logical import draws
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import OF_EPISODES, CheckedTarget, Target
 from behavexplor.data.trace import Trace
@@ -88,12 +89,12 @@ class Evaluator(Service):
             self.batch = ScenarioBatch(self.simulation, episodes, self.answer)
 
     def execute(self, scenario: bytes) -> bytes:
-        """Execute a scenario, given as JSON, and return the answer, see `answer`.
+        """Execute a scenario, given as JSON or as the seed and the number of a uniform draw, and return its `answer`.
 
         Raises:
             ADSError: if the ADS fails.
         """
-        return self.answer(self.simulation.run_alone(_scenario(scenario)))
+        return self.answer(self.simulation.run_alone(_scenario(scenario, self.simulation)))
 
     def original(self, scenario: bytes) -> bytes:
         """Execute a scenario as JSON in highway-env itself, whose environment it needs, and return its trace as bytes.
@@ -101,7 +102,7 @@ class Evaluator(Service):
         Raises:
             ADSError: if the ADS fails.
         """
-        return self.simulation.run(_scenario(scenario)).to_bytes()
+        return self.simulation.run(_scenario(scenario, self.simulation)).to_bytes()
 
     def answer(self, trace: Trace) -> bytes:
         """Return what is told about an executed scenario: its trace, see `behavexplor.data.trace.Trace.to_bytes`."""
@@ -153,7 +154,7 @@ class ScenarioBatch:
         Raises:
             InputError: if the scenario does not fit this environment.
         """
-        scenario = _scenario(request)
+        scenario = _scenario(request, self._simulation)
         self._simulation.logical.check(scenario)
         self._episodes.begin(key, scenario)
 
@@ -218,7 +219,10 @@ def _explained(sentence: str) -> str:
     return f"{sentence}: without --unconfined, an ADS may neither write files nor use the network"
 
 
-def _scenario(data: bytes) -> Scenario:
+def _scenario(data: bytes, simulation: Simulation) -> Scenario:
+    """Return the scenario in a request: as JSON, or drawn by a seed and a number, which are a list."""
+    if data.startswith(b"["):
+        return simulation.logical.sample(draws(*json.loads(data)))
     return parse_scenario(data.decode())
 
 

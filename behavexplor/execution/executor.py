@@ -56,15 +56,17 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
+# It raised an exception, its answer is not a valid action, it called `sys.exit`, it ran out of memory, it did not
+# answer in time, or its process died.
+ADS_FAILURES: Final = ("raised", "invalid", "exit", "memory", "hang", "crash")
+
+
 class ADSError(Exception):
     """An ADS failed instead of returning an action."""
 
     def __init__(self, kind: str, message: str, place: str = "") -> None:
         super().__init__(f"the ADS failed ({kind}): {message}{place}")
-        # kind of the failure: "raised" (it raised an exception), "invalid" (its answer is not a valid action), "exit"
-        # (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time), or "crash" (its
-        # process died)
-        self.kind = kind
+        self.kind = kind  # one of `ADS_FAILURES`
         self.message = message
         self.place = place  # where the ADS raised, see `behavexplor.errors.place_of`; no part of a record
 

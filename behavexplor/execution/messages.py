@@ -1,11 +1,13 @@
-"""Messages across process boundaries: requests and tagged answers. Nothing is ever unpickled."""
+"""Messages across process boundaries: requests and tagged answers, several at a time. Nothing is ever unpickled."""
 
 import json
+from collections.abc import Iterable
 from concurrent.futures import Future
+from itertools import chain
 from typing import Any, Final, NamedTuple, Self
 
 from behavexplor.errors import InputError, described
-from behavexplor.execution.executor import ADSError
+from behavexplor.execution.executor import ADS_FAILURES, ADSError
 
 STARTED: Final = b""  # the supervisor's first message: it has written all that a process is started with
 
@@ -16,7 +18,8 @@ ADS_FAILED: Final = b"A"  # followed by an `ADSError` as JSON
 REFUSED: Final = b"I"  # followed by the message of an `InputError`
 FAILED: Final = b"E"  # followed by the message of any other exception
 SUSPECT: Final = b"S"  # the call failed in a batch and must be made again alone
-KEY_BYTES: Final = 8
+MOST_ERROR: Final = 100_000  # bytes of an error that are read
+KEY_BYTES: Final = 8  # of the key of a call, and of a length
 
 
 class Request(NamedTuple):
@@ -38,14 +41,42 @@ class Request(NamedTuple):
         return cls(int.from_bytes(message[:KEY_BYTES]), function.decode(), bool(message[KEY_BYTES]), data)
 
 
+def packed(parts: Iterable[bytes]) -> bytes:
+    """Return some bytes as one message, for `unpacked`."""
+    return b"".join(chain.from_iterable((len(part).to_bytes(KEY_BYTES), part) for part in parts))
+
+
+def unpacked(message: bytes) -> list[bytes]:
+    """Return the bytes in a message of `packed`.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    parts, begin = [], 0
+    while begin < len(message):
+        end = begin + KEY_BYTES + int.from_bytes(message[begin : begin + KEY_BYTES])
+        if end > len(message):
+            raise ValueError("the message is too short")
+        parts.append(message[begin + KEY_BYTES : end])
+        begin = end
+    return parts
+
+
 def with_key(key: int, answer: bytes) -> bytes:
     """Return an answer with its key, as it is sent."""
     return key.to_bytes(KEY_BYTES) + answer
 
 
-def split_key(message: bytes) -> tuple[int, bytes]:
-    """Return the key and the answer in a message."""
-    return int.from_bytes(message[:KEY_BYTES]), message[KEY_BYTES:]
+def answers_in(message: bytes) -> list[tuple[int, bytes]]:
+    """Return the answers in a message of a worker, each with its key.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    answers = [(int.from_bytes(part[:KEY_BYTES]), part[KEY_BYTES:]) for part in unpacked(message)]
+    if not answers:
+        raise ValueError("the message is empty")
+    return answers
 
 
 def error_answer(error: BaseException, place: str = "") -> bytes:
@@ -63,17 +94,29 @@ def error_answer(error: BaseException, place: str = "") -> bytes:
 
 
 def answered_error(answer: bytes) -> Exception | None:
-    """Return the exception that an answer stands for; None for a result."""
+    """Return the exception that an answer stands for; None for a result.
+
+    Raises:
+        ValueError: if it is no answer, because the ADS has written it.
+    """
     tag, content = answer[:1], answer[1:]
     if tag == RESULT:
         return None
-    if tag == ADS_FAILED:
-        return ADSError(**json.loads(content))
-    return (InputError if tag == REFUSED else RuntimeError)(content.decode())
+    if tag not in (ADS_FAILED, REFUSED, FAILED):
+        raise ValueError("an unknown tag")
+    text = content[:MOST_ERROR].decode()
+    return _ads_error(text) if tag == ADS_FAILED else (InputError if tag == REFUSED else RuntimeError)(text)
+
+
+def _ads_error(text: str) -> ADSError:
+    values = json.loads(text)
+    if not (isinstance(values, dict) and {"kind", "message"} <= {*values} and values["kind"] in ADS_FAILURES):
+        raise ValueError("not a failure of an ADS")
+    return ADSError(values["kind"], str(values["message"]), str(values.get("place", "")))
 
 
 def settle(future: "Future[Any]", answer: bytes) -> None:
-    """Set the result or the exception of an answer on a future."""
+    """Set the result or the exception of an answer on a future; see `answered_error`."""
     error = answered_error(answer)
     if error is None:
         future.set_result(answer[1:])

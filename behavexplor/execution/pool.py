@@ -12,7 +12,7 @@ import struct
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from behavexplor.errors import InputError, described
 from behavexplor.execution.demand import AwaitedFuture, Demand
 from behavexplor.execution.executor import BATCHES, ADSError, Executor
 from behavexplor.execution.forkserver import CAN_SHARE, share_imports, without_script
-from behavexplor.execution.messages import READY, STARTED, SUSPECT, Request, settle, split_key
+from behavexplor.execution.messages import READY, STARTED, SUSPECT, Request, answers_in, packed, settle
 from behavexplor.execution.service import Recipe
 from behavexplor.execution.worker import CLOSED, serve
 from behavexplor.execution.worker_output import CAN_LEAVE, WorkerOutput
@@ -85,6 +85,7 @@ class WorkerPool(Executor):
         self._waiting: deque[_Task] = deque()
         self._closed = self._aborted = self._stopped = False
         self._failed = ""  # why the pool has ended by itself
+        self._is_woken = False  # whether the supervising thread has been woken, and has not looked yet
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
         self._workers: list[_Worker | None] = [None] * n_workers
         self._thread = Thread(target=self._supervise, daemon=True)
@@ -134,7 +135,10 @@ class WorkerPool(Executor):
         self._waiting = deque(task for task in self._waiting if not task.future.cancel())
 
     def _interrupt(self) -> None:
-        """Wake the supervising thread."""
+        """Wake the supervising thread, unless it will look anyway."""
+        if self._is_woken:
+            return
+        self._is_woken = True
         with suppress(OSError):  # the pool was shut down before
             self._wake.send_bytes(b"")
 
@@ -153,6 +157,7 @@ class WorkerPool(Executor):
                 ready = set(wait([self._woken, *busy, *outputs], patience))
                 if self._woken in ready:
                     self._woken.recv_bytes()
+                    self._is_woken = False
                 for connection, worker in busy.items():
                     self._listen(worker, answered=connection in ready)
                 for connection, output in outputs.items():
@@ -183,20 +188,19 @@ class WorkerPool(Executor):
         """Give waiting calls to workers in order. A call that needs a worker to itself holds up the calls behind it."""
         while True:
             with self._lock:  # another thread may cancel the calls
-                place = self._free_place(alone=self._waiting[0].alone) if self._waiting else None
+                place, room = self._free_place(alone=self._waiting[0].alone) if self._waiting else (None, 0)
             if place is None:
                 return
             worker = self._workers[place] = self._workers[place] or _Worker(*self._serving)
             with self._lock:
-                if not self._waiting:
-                    return
-                task = self._waiting.popleft()
-            if not task.future.running() and not task.future.set_running_or_notify_cancel():
-                continue
-            worker.ask(next(self._keys), task, self._time_limit)
+                tasks = [self._waiting.popleft()] if self._waiting else []
+                while len(tasks) < room and self._waiting and not self._waiting[0].alone:
+                    tasks.append(self._waiting.popleft())
+            begun = [one for one in tasks if one.future.running() or one.future.set_running_or_notify_cancel()]
+            worker.ask({next(self._keys): task for task in begun}, self._time_limit)
 
-    def _free_place(self, *, alone: bool) -> int | None:
-        """Return the place of the least busy worker that can take one more call; None if all are busy.
+    def _free_place(self, *, alone: bool) -> tuple[int | None, int]:
+        """Return the place of the least busy worker that can take more calls, None if all are busy; and how many.
 
         A place without a worker is free if the call needs a worker to itself, or if there is no worker at all.
         """
@@ -204,24 +208,26 @@ class WorkerPool(Executor):
         started = [worker is not None for worker in self._workers]
         ready = [worker is not None and worker.is_ready for worker in self._workers]
         if alone or not any(started):
-            free = [place for place, load in enumerate(loads) if load == 0]
+            free = {place: 1 for place, load in enumerate(loads) if load == 0}
         else:
             usable = ready if any(ready) else started
             share = -(-(sum(loads) + len(self._waiting)) // sum(usable))
             places = [(place, worker) for place, worker in enumerate(self._workers) if worker and usable[place]]
-            free = [place for place, worker in places if worker.has_room(share)]
-        return min(free, key=lambda place: (loads[place], not ready[place], not started[place]), default=None)
+            free = {place: room for place, worker in places if (room := worker.room(share)) > 0}
+        place = min(free, key=lambda place: (loads[place], not ready[place], not started[place]), default=None)
+        return place, free.get(place, 0) if place is not None else 0
 
     def _listen(self, worker: "_Worker", *, answered: bool) -> None:
         """Process a worker's answer, its death or its timeout."""
         try:
-            answer = worker.answer(self._time_limit) if answered else None
+            message = worker.message(self._time_limit) if answered else None
         except (EOFError, OSError):
             self._lost(worker, "crash", worker.ending())
             return
-        if answer is not None:
+        if message is not None:
             try:
-                self._take(worker, *answer)
+                for answer in answers_in(message):
+                    self._take(worker, *answer)
             except (KeyError, ValueError):  # the ADS has written to the pipe
                 self._lost(worker, "crash", "its process sent what is no answer")
         elif time.monotonic() > worker.deadline:
@@ -229,16 +235,17 @@ class WorkerPool(Executor):
 
     def _take(self, worker: "_Worker", key: int, answer: bytes) -> None:
         tag, content = answer[:1], answer[1:]
-        if tag == READY:
+        if tag == READY and not worker.is_ready:
             worker.capacity, worker.is_ready = int(content), True
             self._demand.measure_anew()
         elif not worker.is_ready:
             _fail(worker.tasks.values(), InputError(content.decode()))
             self._remove(worker)
-        elif tag == SUSPECT:
+        elif tag == SUSPECT and not worker.tasks[key].alone:
             self._again([worker.tasks.pop(key)])
         else:
-            settle(worker.tasks.pop(key).future, answer)
+            settle(worker.tasks[key].future, answer)
+            del worker.tasks[key]
             if self._recipe.long_calls:
                 self._remove(worker)
 
@@ -294,6 +301,7 @@ class _Worker:
         self.connection: Connection
         self.connection, theirs = context.Pipe()
         self.asking = context.RawValue("b", 0)  # 1 while the worker calls its ADS; see `share_asking`
+        self._together = recipe.together
         self.is_confined = is_confined  # third-party code runs in it, which is to blame if it dies at any time
         self.output = WorkerOutput() if is_confined and CAN_LEAVE else None  # others print on our terminal
         pipe = self.output.theirs if self.output else None
@@ -322,23 +330,25 @@ class _Worker:
         """True if the worker processes a call that needs it to itself."""
         return len(self.tasks) == 1 and next(iter(self.tasks.values())).alone
 
-    def has_room(self, share: int) -> bool:
-        """Return whether the worker can take one more call beside others, up to a share of all calls."""
-        return not self.is_alone and len(self.tasks) < min(self.capacity, share)
+    def room(self, share: int) -> int:
+        """Return how many more calls the worker can take beside others, up to a share of all calls."""
+        ahead = self._together - 1 if self.capacity > 1 else 0  # as many answers may wait for others
+        return 0 if self.is_alone else min(self.capacity + ahead, share) - len(self.tasks)
 
-    def ask(self, key: int, task: _Task, time_limit: float) -> None:
-        """Send a call to the worker."""
+    def ask(self, tasks: Mapping[int, _Task], time_limit: float) -> None:
+        """Send calls to the worker, by their keys."""
         if self.is_ready and not self.tasks:
             self._wait_for(time_limit)
-        self.tasks[key] = task
+        self.tasks.update(tasks)
+        requests = [Request(key, one.function, one.alone, one.data).to_bytes() for key, one in tasks.items()]
         with suppress(OSError):  # the worker has died, which `_listen` will notice
-            self.connection.send_bytes(Request(key, task.function, task.alone, task.data).to_bytes())
+            self.connection.send_bytes(packed(requests))
 
-    def answer(self, time_limit: float) -> tuple[int, bytes]:
-        """Receive an answer, and return its key and the answer; EOFError or OSError if the process has died."""
+    def message(self, time_limit: float) -> bytes:
+        """Receive a message with answers; EOFError or OSError if the process has died."""
         message = self.connection.recv_bytes(MOST_BYTES)
         self._wait_for(time_limit)
-        return split_key(message)
+        return message
 
     def has_closed(self) -> bool:
         """Return whether the worker lost its connection because the ADS closed it.

@@ -60,6 +60,7 @@ class Recipe:
     # whether a call lasts as long as a campaign. Each process then takes a single call, may start processes of its own,
     # and calls `stop` on SIGTERM.
     long_calls: bool = False
+    together: int = 1  # number of answers of a batch in one message, as far as they come without a pause
 
     def make(self) -> Service:
         """Make the service in this process."""

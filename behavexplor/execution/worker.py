@@ -10,6 +10,7 @@ import signal
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
@@ -22,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from behavexplor.errors import InputError, described
 from behavexplor.execution.asking import share_asking
 from behavexplor.execution.executor import ADSError
-from behavexplor.execution.messages import READY, RESULT, SUSPECT, Request, error_answer, with_key
+from behavexplor.execution.messages import READY, RESULT, SUSPECT, Request, error_answer, packed, unpacked, with_key
 from behavexplor.execution.service import Batch, Recipe, Service
 from behavexplor.execution.worker_output import leave_terminal
 
@@ -34,6 +35,8 @@ except ImportError:  # Windows has no such limits
 
 _STDERR: Final = 2  # number of the last of the standard files
 CLOSED: Final = 83  # exit code of a worker whose connection was closed
+_LONGEST_WAIT: Final = 0.1  # of an answer for others with which it is sent [s]
+_MOST_WAITING: Final = 2**20  # bytes of answers that wait
 
 
 def serve(
@@ -79,13 +82,14 @@ def serve(
         threadpool_limits(1)  # includes libraries that the ADS has loaded
         gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     except InputError as error:
-        _send(connection, 0, error_answer(error))
+        _send(connection, packed([with_key(0, error_answer(error))]))
         return
-    _send(connection, 0, READY + str(service.batch.capacity if service.batch else 1).encode())
+    ready = READY + str(service.batch.capacity if service.batch else 1).encode()
+    _send(connection, packed([with_key(0, ready)]))
     requests: queue.SimpleQueue[Request | None] = queue.SimpleQueue()
     Thread(target=_receive, args=(connection, requests), daemon=True).start()
     try:
-        _work(connection, requests, service)
+        _work(_Answers(connection, recipe.together), requests, service)
     except KeyboardInterrupt:  # workers ignore the key, so an ADS has raised it: it is asked again, alone
         os._exit(1)
 
@@ -117,25 +121,51 @@ def _receive(connection: Connection, requests: "queue.SimpleQueue[Request | None
     """Queue requests as soon as they arrive, so that sending never blocks. None marks the end of the connection."""
     with suppress(EOFError, OSError):
         while True:
-            requests.put(Request.from_bytes(connection.recv_bytes()))
+            for request in unpacked(connection.recv_bytes()):
+                requests.put(Request.from_bytes(request))
     requests.put(None)
 
 
-def _work(connection: Connection, requests: "queue.SimpleQueue[Request | None]", service: Service) -> None:
+class _Answers:
+    """Answers that are sent in one message: as many as are wanted together, or those that have waited for a while."""
+
+    def __init__(self, connection: Connection, together: int) -> None:
+        self._connection, self._together = connection, together
+        self._waiting: list[bytes] = []
+        self._since = 0.0
+
+    def add(self, key: int, answer: bytes) -> None:
+        """Take one more answer."""
+        if not self._waiting:
+            self._since = time.monotonic()
+        self._waiting.append(with_key(key, answer))
+
+    def send(self, *, at_once: bool) -> None:
+        """Send the answers if there are enough of them, or at once if there are any."""
+        is_due = at_once or len(self._waiting) >= self._together or time.monotonic() - self._since > _LONGEST_WAIT
+        if self._waiting and (is_due or sum(map(len, self._waiting)) > _MOST_WAITING):
+            _send(self._connection, packed(self._waiting))
+            self._waiting = []
+
+
+def _work(answers: _Answers, requests: "queue.SimpleQueue[Request | None]", service: Service) -> None:
     batch, working = service.batch, 0
     while True:
-        while working == 0 or not requests.empty():
+        while working == 0 or (batch and working < batch.capacity and not requests.empty()):
+            answers.send(at_once=working == 0)
             if (request := requests.get()) is None:
                 return
             if request.alone or batch is None:
-                _send(connection, request.key, _call(service, request))
+                answers.add(request.key, _call(service, request))
+                answers.send(at_once=True)
             elif (refused := _begin(batch, request)) is not None:
-                _send(connection, request.key, refused)
+                answers.add(request.key, refused)
             else:
                 working += 1
         for key, result in batch.advance() if batch else ():
-            _send(connection, key, _answer(result))
+            answers.add(key, _answer(result))
             working -= 1
+        answers.send(at_once=False)
 
 
 def _answer(result: bytes | Exception | None) -> bytes:
@@ -144,9 +174,9 @@ def _answer(result: bytes | Exception | None) -> bytes:
     return error_answer(result) if isinstance(result, Exception) else RESULT + result
 
 
-def _send(connection: Connection, key: int, answer: bytes) -> None:
+def _send(connection: Connection, message: bytes) -> None:
     try:
-        connection.send_bytes(with_key(key, answer))
+        connection.send_bytes(message)
     except OSError:  # the ADS has closed our files, or the campaign has ended
         os._exit(CLOSED)
 

@@ -5,11 +5,10 @@ The campaign asks for a scenario, executes it, and tells the search method the r
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.logical import draws as draws  # noqa: PLC0414 - it belongs to this interface
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.judge.specs import Verdict
@@ -23,7 +22,7 @@ class SearchExhausted(Exception):  # noqa: N818 - it ends a campaign, nothing we
     """The search has no further candidates. The message is a sentence that says why."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Candidate:
     """A scenario that a search method proposes for execution.
 
@@ -38,6 +37,30 @@ class Candidate:
     scenario: Scenario
     origin: str
     parent: int | None
+
+    @classmethod
+    def uniform(cls, number: int, logical: LogicalScenario, seed: int) -> Self:
+        """Return a uniform candidate of a campaign with the given seed, whose scenario is drawn when it is asked for.
+
+        Workers can draw it as well: it is the `sample` of the logical scenario by `draws(seed, number)`.
+        """
+        candidate = object.__new__(cls)
+        candidate.__dict__.update(number=number, origin=UNIFORM, parent=None, _logical=logical, _seed=seed)
+        return candidate
+
+    @property
+    def seed(self) -> int | None:
+        """The seed by which workers can draw the scenario; None if they cannot."""
+        return vars(self).get("_seed")
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Draw the scenario of `uniform`."""
+            if name != "scenario" or "_seed" not in vars(self):
+                raise AttributeError(f"a candidate has no attribute {name!r}")
+            self.__dict__["scenario"] = self._logical.sample(draws(self._seed, self.number))
+            return self.scenario
 
 
 def nothing_to_mutate(failed: int) -> SearchExhausted:
@@ -81,14 +104,3 @@ class SearchMethod(Protocol):
     def status(self) -> Mapping[str, float]:
         """Return figures for the live display, by name."""
         ...
-
-
-def draws(seed: int, number: int, *purpose: int) -> np.random.Generator:
-    """Return the random number generator of one candidate. It depends only on the arguments.
-
-    Args:
-        seed: seed of the campaign.
-        number: number of the candidate.
-        purpose: integers that make separate generators for the same candidate, one for each purpose.
-    """
-    return np.random.default_rng([seed, number, *purpose])

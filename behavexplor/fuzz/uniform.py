@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import validated
-from behavexplor.fuzz.search import UNIFORM, Candidate, draws
+from behavexplor.fuzz.search import Candidate
 from behavexplor.judge.specs import Verdict
 
 
@@ -29,9 +29,8 @@ class Uniform:
 
     def ask(self) -> Candidate:
         """Return the next sampled scenario."""
-        number = self._asked
         self._asked += 1
-        return Candidate(number, self._logical.sample(draws(self._seed, number)), UNIFORM, None)
+        return Candidate.uniform(self._asked - 1, self._logical, self._seed)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
         """Ignore the execution, since nothing is learned."""

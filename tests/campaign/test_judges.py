@@ -14,12 +14,13 @@ from behavexplor.behavior.features import state_matrix
 from behavexplor.campaign import opening
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.judges import Judges, judged, packed, unpacked
+from behavexplor.campaign.judges import Judges, judged
 from behavexplor.campaign.judgment import judgment
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Store
 from behavexplor.data.trace import Trace
 from behavexplor.execution.executor import ADSError
+from behavexplor.execution.messages import packed, unpacked
 from behavexplor.judge.specs import SPECS
 from tests.fakes import LOGICAL, simulate
 
@@ -109,7 +110,10 @@ def test_messages_are_taken_apart():
     parts = [b"", b"a" * 300, b"\n"]
     assert unpacked(packed(parts)) == parts
     assert unpacked(b"") == []
-    assert judged(b"").startswith(b'"its process sent what is no trace: ')
+    for other in (b"\1", packed(parts)[:-1], b"\xff" * 20):
+        with pytest.raises(ValueError, match="too short"):
+            unpacked(other)
+    assert judged(b"").startswith(b'"error": "its process sent what is no trace: ')
 
 
 def test_a_packed_trace_is_a_trace():
@@ -138,21 +142,39 @@ def run(folder, workers, **config):
         return [(one.record.to_dict(), one.trace) for one in store.executions()]
 
 
-@pytest.mark.parametrize("method", ["behavexplor", "avfuzzer"])
-def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method):
-    whole = run(tmp_path / "here", 0, method=method)
+@pytest.mark.parametrize(
+    ("method", "target"),
+    [
+        ("behavexplor", {}),
+        ("avfuzzer", {}),
+        ("uniform", {}),
+        ("uniform", {"env": "highway-fast-v0", "ads": "constant:FASTER"}),
+    ],
+)
+def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method, target):
+    whole = run(tmp_path / "here", 0, method=method, **target)
     followed, follow = [], Judges.follow
     monkeypatch.setattr(opening, "LEAST", 1)
     monkeypatch.setattr(Judges, "are_ready", property(ready))
-    monkeypatch.setattr(Judges, "follow", lambda self, driven: followed.append(driven) or follow(self, driven))
-    assert run(tmp_path / "there", 2, method=method, budget="20") == whole[:20]
+    monkeypatch.setattr(Judges, "follow", lambda self, *given: followed.append(given) or follow(self, *given))
+    assert run(tmp_path / "there", 2, method=method, budget="20", **target) == whole[:20]
     assert len(followed) == 20
-    assert run(tmp_path / "there", 2, method=method) == whole
+    assert run(tmp_path / "there", 2, method=method, **target) == whole
     assert len(followed) == 40
+    drawn = [b"[2, %d]" % number for number in range(40)]  # by the workers, and again by the judges
+    assert [request for _, request in followed] == (drawn if method == "uniform" else [b""] * 40)
+
+
+def test_the_drivers_failure_is_recorded_with_its_scenario_though_a_worker_has_drawn_it(tmp_path, monkeypatch):
+    config = {"method": "uniform", "ads": "tests.drivers:Faulty", "budget": "3"}
+    alone = run(tmp_path / "alone", 1, **config)
+    monkeypatch.setattr(opening, "LEAST", 1)
+    assert run(tmp_path / "judged", 1, **config) == alone
+    assert {record["class"] for record, _ in alone} == {"error/raised"}
 
 
 def test_a_judge_that_ends_is_not_the_drivers_failure(tmp_path, monkeypatch):
-    def lose(self, driven):
+    def lose(self, driven, drawn):
         judging = Future()
         driven.add_done_callback(lambda _: judging.set_exception(RuntimeError("a worker ended: its process is gone")))
         return judging

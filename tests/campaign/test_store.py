@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -185,3 +186,16 @@ def test_a_run_can_be_reopened(store):
     again.commit()
     assert len(again) == 4
     again.close()
+
+
+def test_a_record_of_an_outcome_is_the_record_of_its_fields():
+    whole = replace(execution(3).record, origin="one, two", parent=2, search={"energy": [0.5, None], "kept": True})
+    values = {one.name: getattr(whole, one.name) for one in fields(Record) if one.name != "scenario"}
+    outcome = whole.lines[3:-4]
+    made = Record.of_outcome(outcome, json.dumps(whole.scenario), **values)
+    assert "scenario" not in vars(made)  # nothing has been read until now
+    assert (made.to_json(), made.lines) == (whole.to_json(), tuple(whole.lines))
+    assert (made, made.load_scenario()) == (whole, whole.load_scenario())
+    assert json.loads(made.to_json()) == whole.to_dict()
+    for record in (made, whole):
+        assert not hasattr(record, "no_such_field")

@@ -11,6 +11,7 @@ import pytest
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.errors import LONGEST, InputError, described
+from behavexplor.execution.messages import ADS_FAILED, READY, RESULT, SUSPECT, packed, with_key
 from tests.drivers import Cruiser
 
 HERE = __name__
@@ -76,6 +77,51 @@ class Chatty(Driver):
                     os.write(int(file.name), b"\x7f\xff\xff\xff")
 
 
+class Lying(Driver):
+    """Writes answers of its own on each pipe and socket of its process."""
+
+    answers = ()
+
+    def act(self):
+        message = packed([with_key(key, answer) for answer in self.answers for key in range(20)])
+        for file in Path("/proc/self/fd").iterdir():
+            with suppress(OSError):  # the listing's own
+                if str(file.readlink()).startswith("socket:"):
+                    os.write(int(file.name), len(message).to_bytes(4) + message)
+
+
+class Silent(Lying):
+    """Sends messages without answers, which would put off the end of the time limit for ever."""
+
+
+class Ready(Lying):
+    answers = (READY + b"1000000000",)
+
+
+class Suspect(Lying):
+    """Asks for its calls to be made again, for ever."""
+
+    answers = (SUSPECT,)
+
+
+class Unknown(Lying):
+    answers = (b"?", b"")
+
+
+class Forged(Lying):
+    answers = (RESULT + b"a verdict",)
+
+
+class Failing(Lying):
+    """Has failed in a way that there is not."""
+
+    answers = (ADS_FAILED + b'{"kind": "passed", "message": "no collision", "place": ""}',)
+
+
+class Nested(Lying):
+    answers = (ADS_FAILED + b'["kind"]',)
+
+
 class Forking(Driver):
     def act(self):
         os.fork()
@@ -106,6 +152,13 @@ def records(name, folder, **settings):
         ("Hoarding", "crash", "its process cannot go on: OSError: [Errno 24] Too many open files"),
         ("Chatty", "crash", ""),
         ("Leaving", "crash", "its process ended with exit code 9"),
+        ("Silent", "crash", "its process sent what is no answer"),
+        ("Ready", "crash", "its process sent what is no answer"),
+        ("Suspect", "crash", "its process sent what is no answer"),
+        ("Unknown", "crash", "its process sent what is no answer"),
+        ("Forged", "crash", "its process sent what is no"),  # trace, if it guessed the key of a call, or answer
+        ("Failing", "crash", "its process sent what is no answer"),
+        ("Nested", "crash", "its process sent what is no answer"),
     ],
 )
 def test_what_a_driver_does_to_its_process_is_its_failure(name, kind, words, tmp_path):

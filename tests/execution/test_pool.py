@@ -227,10 +227,11 @@ def pool_of_slow(tmp_path):
     pool.shutdown(wait=False)
 
 
-@pytest.fixture
-def adders(tmp_path):
+@pytest.fixture(params=[1, 2, 100])
+def adders(tmp_path, request):
     file = str(tmp_path / "together")
-    made = Recipe(f"{__name__}:Adder", {"file": file}, batched="count_down", preload=PRELOAD)
+    settings = {"batched": "count_down", "preload": PRELOAD, "together": request.param}
+    made = Recipe(f"{__name__}:Adder", {"file": file}, **settings)
     pool = WorkerPool(2, made, time_limit=5.0, memory_limit=8.0)
     yield pool, tmp_path / "together"
     pool.shutdown(wait=False)
