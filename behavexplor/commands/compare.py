@@ -3,6 +3,7 @@
 import json
 import shlex
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,15 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, 
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.outputs import (
+    JsonFile,
+    JUnitFile,
+    Tested,
+    check_outputs,
+    check_threshold,
+    write_json,
+    write_junit,
+)
 from behavexplor.commands.wording import hanging, say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
@@ -75,10 +84,11 @@ def compare(  # noqa: PLR0913 - one argument for each flag
             a driver that is not shipped with behavexplor then needs --unconfined.
         out: Folder for the results, new or empty.
         json_file: Also write the table and the verdict to this JSON file; - is standard output, here and below.
-        junit: Also write the verdict to this file as JUnit XML.
+        junit: With --margin, also write the verdict to this file as JUnit XML.
         quiet: Print only the tables.
     """
     count, output = chosen_workers(workers), check_outputs(json_file, junit)
+    check_threshold(junit, "--margin", margin)
     _check(margin, first, second)
     of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
     env = named_env(given.get("env"), first) or CampaignConfig.env
@@ -86,7 +96,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     searching = replace(config, batch=CampaignConfig.batch, **of_search)
     if search:
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
-    folder = out or stamped_folder("compare")
+    folder, begun = out or stamped_folder("compare"), time.monotonic()
     try:
         other, pairs, verdict = _driven(config, second, folder, count, margin, quiet=quiet)
         say(table(pairs, config.env, first, second), file=output)
@@ -103,7 +113,8 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     if verdict is not None:
         say(hanging("", verdict.words), file=output)
         failure = "" if verdict.found == NON_INFERIOR else verdict.words
-        write_junit(junit, f"compare {config.env}", [Tested("non-inferior", failure)], {"A": first, "B": second})
+        tested, properties = [Tested(f"non-inferior by {margin:g}", failure)], {"A": first, "B": second}
+        write_junit(junit, f"compare {config.env}", tested, properties, time.monotonic() - begun)
     return _CODES[verdict.found] if verdict else OK
 
 

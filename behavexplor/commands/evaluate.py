@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, replace
@@ -23,7 +24,15 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, 
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
+from behavexplor.commands.outputs import (
+    JsonFile,
+    JUnitFile,
+    Tested,
+    check_outputs,
+    check_threshold,
+    write_json,
+    write_junit,
+)
 from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
@@ -71,6 +80,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     out: Annotated[Path | None, flag("FOLDER", None)] = None,
     workers: Annotated[int | None, flag("N", "the cores")] = None,
     json_file: JsonFile = None,
+    junit: JUnitFile = None,
     controls: bool = True,
     quiet: Switch = False,
 ) -> int:
@@ -89,11 +99,13 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
             command goes on after an interruption.
         workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver;
             a driver that is not shipped with behavexplor then needs --unconfined.
-        json_file: Also write the counts to this JSON file; - is standard output.
+        json_file: Also write the counts to this JSON file; - is standard output, here and below.
+        junit: With --below, also write the verdict to this file as JUnit XML.
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         quiet: Print only the table.
     """
-    output, goal = check_outputs(json_file), _goal(outcome or Goal.outcome, below, until)
+    output, goal = check_outputs(json_file, junit), _goal(outcome or Goal.outcome, below, until)
+    check_threshold(junit, "--below", below)
     count = scenarios if scenarios is not None else DECIDING if goal else SCENARIOS
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
@@ -101,7 +113,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     check_name(ads)
     config = campaign_config({**given, "env": named_env(given.get("env"), ads) or CampaignConfig.env})
     folder = None if out is None or policies else RateFolder(out, config)
-    run = _Run(count, config.seed, chosen_workers(workers), quiet, goal, folder)
+    run, begun = _Run(count, config.seed, chosen_workers(workers), quiet, goal, folder), time.monotonic()
     try:
         if policies is not None:
             return _ranked(policies, out, {**given, "outcome": outcome or FAILED}, run, output)
@@ -112,7 +124,11 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     _say_rates(config, found, folder, output)
     write_json(json_file, _values(config, found))
     decision = found[Path(ads).name].decision
-    return _CODES[decision.verdict] if decision is not None else OK
+    if decision is None:
+        return OK
+    tested = Tested(f"{decision.goal.outcome} below {below}", "" if decision.verdict == BELOW else decision.words)
+    write_junit(junit, f"evaluate {config.env}", [tested], {"ads": ads}, time.monotonic() - begun)
+    return _CODES[decision.verdict]
 
 
 def _say_rates(

@@ -28,6 +28,7 @@ from behavexplor.campaign.config import (
 from behavexplor.campaign.opening import opened, stopped_by_signals
 from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.provenance import ALL, Consent
+from behavexplor.campaign.record import failure_path
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
@@ -104,11 +105,12 @@ def read_known_classes(path: Path | None) -> frozenset[str]:
     return frozenset(line for line in lines if line)
 
 
-def tested_classes(found: RunSummary, checks: Checks) -> list[Tested]:
+def tested_classes(found: RunSummary, run: Path, checks: Checks) -> list[Tested]:
     """Return a test case of JUnit for each class of failures, which fails if the class is not known."""
     new = {one.id for one in checks.new_classes(found)}
+    words = {one.id: f"{one.words}: {one.count} times, first in execution {one.first}" for one in found.classes}
     return [
-        Tested(one.id, f"{one.words}: {one.count} times, first in execution {one.first}" if one.id in new else "")
+        Tested(one.id, words[one.id] if one.id in new else "", file=failure_path(run, one.first))
         for one in found.classes
     ] or [Tested("no failures")]
 
@@ -213,7 +215,8 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, files:
     found = summarize(folder)
     write_json(files.json, summary_values(found, folder, checks))
     properties = {"env": found.env, "ads": found.ads, "method": found.method, **found.digests}
-    write_junit(files.junit, f"fuzz {found.env}", tested_classes(found, checks), properties)
+    tested = tested_classes(found, folder, checks)
+    write_junit(files.junit, f"fuzz {found.env}", tested, properties, found.elapsed)
     if code == OK and found.violations.get(ERROR, 0) == found.executions:
         say(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
         return EXECUTION_FAILED

@@ -49,13 +49,51 @@ def test_compare_leaves_confirmation_out_as_fuzz_does(tmp_path, monkeypatch, cap
     assert not stored_config(tmp_path / "out" / "second").says.confirm
 
 
-@pytest.mark.parametrize("command", [["check", "suite"], ["evaluate"], ["fuzz"], ["compare", "idm", "idm"]])
-def test_files_are_looked_at_before_the_work(tmp_path, monkeypatch, capsys, command):
+JUDGING = [["check", "suite"], ["evaluate", "--below", "0.1"], ["fuzz"], ["compare", "idm", "idm", "--margin", "0.1"]]
+
+
+@pytest.mark.parametrize("flag", ["--json", "--junit"])
+@pytest.mark.parametrize("command", JUDGING)
+def test_files_are_looked_at_before_the_work(tmp_path, monkeypatch, capsys, command, flag):
     monkeypatch.setattr(Suite, "read", lambda _: Suite(env="lane-change", driver="idm"))
-    for path, said in ((tmp_path, "is a folder: name a file"), (tmp_path / "no" / "x", f"no folder {tmp_path / 'no'}")):
-        assert main([*command, "--json", str(path)]) == BAD_INPUT
+    nowhere = [
+        (tmp_path, "is a folder: name a file"),
+        (tmp_path / "no" / "x", f"no folder {tmp_path / 'no'}"),
+        (tmp_path / ("x" * 250), "File name too long"),  # with what is added until the file is complete
+        (Path("/proc/x"), "/proc/x cannot be written"),  # where even root creates no files
+    ]
+    for path, said in nowhere:
+        assert main([*command, flag, str(path)]) == BAD_INPUT
         assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", JUDGING)
+def test_test_cases_have_the_time_that_is_known_and_the_file_of_their_scenario(tmp_path, finished, command, capsys):
+    flags = ["--workers", "0", "--quiet", "--junit", str(tmp_path / "x.xml")]
+    if command[0] == "check":
+        assert main(["suite", str(finished), "--out", str(tmp_path / "suite"), "--workers", "0"]) == OK
+        command = ["check", str(tmp_path / "suite")]
+    elif command[0] == "fuzz":
+        command = ["fuzz", "--resume", str(finished)]
+    else:
+        command = [*command, "--env", "lane-change", "--scenarios", "2"]
+    if command[0] == "compare":
+        command += ["--out", str(tmp_path / "two")]
+    main([*command, *flags])
+    suite = ET.parse(tmp_path / "x.xml").getroot().find("testsuite")
+    cases = suite.findall("testcase")
+    times = {case.get("time") for case in cases}
+    assert float(suite.get("time")) > 0.0
+    assert times == ({suite.get("time")} if len(cases) == 1 else {None})
+    files = [case.get("file") for case in cases]
+    assert all(Path(file).is_file() for file in files) if command[0] in ("check", "fuzz") else set(files) == {None}
+
+
+@pytest.mark.parametrize("command", [["evaluate"], ["compare", "idm", "idm"]])
+def test_a_verdict_needs_a_threshold(command, tmp_path, capsys):
+    assert main([*command, "--junit", str(tmp_path / "x.xml")]) == BAD_INPUT
+    assert "give one with --" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")
