@@ -15,7 +15,7 @@ from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import R1, violation_event
 from behavexplor.report.marks import decisions, violation_place
 from behavexplor.report.reading import ReportedRun
-from behavexplor.triage.findings import Finding, Minimized, counted
+from behavexplor.triage.findings import Finding, Minimized, fault_words, tally
 
 Steps = Ints
 
@@ -184,11 +184,11 @@ def _card(class_id: str, findings: list[Finding], examined: frozenset[int]) -> C
     known = [finding for finding in findings if finding.id in examined]
     shown = next((finding for finding in known if finding.same_trace), first)
     facts = {
-        "fault": counted(finding.fault for finding in known),
-        "cause": counted(finding.cause for finding in known),
-        "signature": counted(finding.signature for finding in known),
-        "last chance": counted(finding.last_chance.words for finding in known if finding.last_chance),
-        "avoidable by": counted(finding.avoidance for finding in known),
+        "fault": tally(fault_words(finding.fault) for finding in known if finding.fault),
+        "cause": tally(finding.cause for finding in known),
+        "signature": tally(finding.signature for finding in known),
+        "last chance": tally(finding.last_chance.words for finding in known if finding.last_chance),
+        "avoidable by": tally(finding.avoidance for finding in known),
         "not reproduced": str(sum(not finding.same_verdict for finding in known) or ""),
     }
     listed = tuple((name, text) for name, text in facts.items() if text)
