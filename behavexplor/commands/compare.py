@@ -20,15 +20,7 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, 
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.outputs import (
-    JsonFile,
-    JUnitFile,
-    Tested,
-    check_outputs,
-    check_threshold,
-    write_json,
-    write_junit,
-)
+from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
 from behavexplor.commands.wording import hanging, say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
@@ -46,7 +38,8 @@ _CODES: Final = {NON_INFERIOR: OK, INFERIOR: CHECK_FAILED, "": UNDECIDED}
 
 _SETTINGS = settings(
     CampaignConfig,
-    "env activation env_config seed method budget specs trust unconfined traffic confirm stochastic",
+    "env activation env_config seed method budget specs confirm traffic stochastic trust unconfined",
+    box="campaign",
     env=(f"that of A, or {CampaignConfig.env}", ""),
     method=("nsga2", " with --search"),
     budget=(CampaignConfig.budget, " with --search"),
@@ -88,8 +81,9 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         quiet: Print only the tables.
     """
     count, output = chosen_workers(workers), check_outputs(json_file, junit)
-    check_threshold(junit, "--margin", margin)
     _check(margin, first, second)
+    if junit is not None and margin is None:
+        raise InputError("--junit writes whether a threshold was met: give one with --margin")
     of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
     env = named_env(given.get("env"), first) or CampaignConfig.env
     config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})

@@ -24,15 +24,7 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, 
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.outputs import (
-    JsonFile,
-    JUnitFile,
-    Tested,
-    check_outputs,
-    check_threshold,
-    write_json,
-    write_junit,
-)
+from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
 from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
@@ -63,7 +55,8 @@ _CONTROLS: Final = MappingProxyType(
 
 _SETTINGS = settings(
     CampaignConfig,
-    "env ads activation env_config seed trust unconfined traffic stochastic",
+    "env ads activation env_config seed traffic stochastic trust unconfined",
+    box="driver",
     env=(f"the policy's own, or {CampaignConfig.env}", ""),
     stochastic=(False, " By default, the rates with drawn actions are shown, too."),
 )
@@ -89,7 +82,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     Args:
         policies: Rank several drivers on a page in --out: a folder of policy files, or a YAML file of drivers by name,
             each with its settings, such as careful: {ads: careful, env: roundabout-v0}.
-        given: The driver, its environment and the seed of the scenarios.
+        given: The driver, its environment, and the seed of the scenarios.
         scenarios: Number of scenarios; with --below or --until, the greatest number.
         below: End when the rate of the outcome is known to be below, or above, this one, such as 0.001. The exit code
             is 0 if it is below, 1 if it is above, and 4 if that is not decided.
@@ -105,7 +98,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         quiet: Print only the table.
     """
     output, goal = check_outputs(json_file, junit), _goal(outcome or Goal.outcome, below, until)
-    check_threshold(junit, "--below", below)
+    if junit is not None and below is None:
+        raise InputError("--junit writes whether a threshold was met: give one with --below")
     count = scenarios if scenarios is not None else DECIDING if goal else SCENARIOS
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")

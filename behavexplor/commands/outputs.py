@@ -46,16 +46,6 @@ def _check(path: Path) -> None:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
 
-def check_threshold(junit: Path | None, flag: str, value: float | None) -> None:
-    """Check that there is a threshold if a verdict is to be written as JUnit XML.
-
-    Raises:
-        InputError: if there is none.
-    """
-    if junit is not None and value is None:
-        raise InputError(f"--junit writes whether a threshold was met: give one with {flag}")
-
-
 def write_json(path: Path | None, values: Any) -> None:
     """Write values as JSON, if there is a file for them.
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ import pytest
 
 from behavexplor.campaign.config import campaign_config, stored_config
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, main
+from behavexplor.commands.arguments import SEVERAL_TIMES
 from behavexplor.commands.check import result
 from behavexplor.commands.overview import COMMANDS
 from behavexplor.envs.making import environment_id
@@ -198,6 +200,53 @@ def test_old_flags_name_the_new_ones_and_unknown_commands_the_nearest(capsys):
     assert "--summary is called --json now" in capsys.readouterr().err
     assert main(["fuz"]) == BAD_INPUT
     assert "did you mean 'fuzz'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("fuzz --seed abc", "--seed abc must be a whole number"),
+        ("fuzz --workers=1.5", "--workers 1.5 must be a whole number"),
+        ("fuzz --fail-above much", "--fail-above much must be a number, such as 0.05"),
+        ("compare a b --scenarios 1e3", "--scenarios 1e3 must be a whole number"),
+        ("replay run last", "ID last must be a whole number"),
+        ("minimize run 1 x", "x must be a whole number"),
+        ("fuzz --traffic dense", "--traffic dense must be one of default, wide"),
+        ("check s --activation step", "--activation step must be one of elu, gelu, identity"),
+        ("fuzz --env-config none.yaml", "none.yaml cannot be read"),
+        ("fuzz --seed 1 --seed 2", "--seed is given 2 times: give it once"),
+        ("fuzz --env=S1 --method uniform --env S2", "--env is given 2 times"),
+        ("fuzz --confirm --no-confirm", "--confirm is given 2 times"),
+    ],
+)
+def test_a_wrong_value_and_a_second_one_are_said_in_a_sentence(arguments, said, capsys):
+    assert main(arguments.split()) == BAD_INPUT
+    told = capsys.readouterr().err
+    assert said in told
+    assert len(told.splitlines()) == 1
+
+
+def test_flags_that_are_lists_are_given_several_times(capsys):
+    several = [word for flag in sorted(SEVERAL_TIMES) for word in (flag, "none.a:b", flag, "none.c:d")]
+    assert main(["fuzz", "--env", "nowhere", *several]) == BAD_INPUT
+    assert "Unknown environment 'nowhere'" in capsys.readouterr().err
+
+
+def test_what_tyro_says_of_other_mistakes_stays(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["fuzz", "--bugdet", "3"])
+    assert ended.value.code == BAD_INPUT
+    assert "--budget N|TIME" in capsys.readouterr().err
+
+
+def test_the_flags_of_fuzz_are_in_groups(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main(["fuzz", "--help"])
+    words = [word for line in capsys.readouterr().out.splitlines() for word in line.split() if word.isascii()]
+    found = [word for word, after in pairwise(words) if after == "options" or word[:2] == "--"]
+    order = ["--config", "--cluster", "driver", "--env", "--ads", "search", "--method", "check", "output", "--junit"]
+    assert [word for word in dict.fromkeys(found) if word in order] == order
 
 
 def test_the_overview_has_every_command_in_a_line(capsys):
