@@ -16,8 +16,8 @@ TRAINED = ("highway-fast", "merge", "roundabout", "intersection")
 SHOWN = """
 from behavexplor.judge.classes import violation_class
 trace, stored = info["trace"], run.trace({number})
-same = trace.position.tobytes() == stored.position.tobytes()
-print(violation_class(trace, run.violated(trace)).id, len(trace.time), same)
+apart = abs(trace.position - stored.position).max()  # the compiled engine rounds otherwise
+print(violation_class(trace, run.violated(trace)).id, len(trace.time), apart < 1e-3)
 """
 
 
