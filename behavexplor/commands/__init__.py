@@ -25,6 +25,7 @@ from typing import Any, Final, TextIO
 import tyro
 
 from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV
+from behavexplor.commands.arguments import bound
 from behavexplor.commands.overview import (
     COMMANDS,
     changed_output,
@@ -132,8 +133,8 @@ def _begun(given: Sequence[str]) -> int:
         raise unknown_name("command", name, COMMANDS)
     command: Callable[..., int] = _command(name)
     with changed_output(with_wrapped_usage) if {"-h", "--help"} & set(given) else nullcontext():
-        code: int = tyro.cli(command, prog=f"{program()} {name}", args=given[1:], description=wrapped_head(command))
-    return code
+        run = bound(command, given[1:], prog=f"{program()} {name}", description=wrapped_head(command))
+    return run()
 
 
 def _drop_output() -> None:

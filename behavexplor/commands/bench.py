@@ -87,7 +87,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     summaries = {**archived, **_summaries(finished, root, quiet=quiet)}
     if summaries:
         _report(chosen, root, {run: summaries[run] for run in chosen.runs() if run in summaries})
-    say(f"{len(summaries)} of {counted(len(chosen.runs()), 'campaign')} finished; all results are in {root}")
+    say(f"{len(summaries)} of {counted(len(chosen.runs()), 'campaign')} finished\nAll results are in {root}")
     if summaries:
         say(f"Report: {root / PAGE}")
     return code
@@ -120,10 +120,9 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
     )
     at_a_time = jobs or available_cores()  # of a cluster the number of nodes is unknown here
     seconds = forecast(experiment, runs, root, at_a_time)
-    return (
-        f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}\n"
-        f"{finished} finished; {counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time"
-    )
+    going = f"{counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time"
+    whole = f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}"
+    return f"{hanging('', whole)}\n{hanging('', f'{finished} finished; {going}')}"
 
 
 def _prepare(experiment: Experiment, root: Path) -> None:

@@ -1,6 +1,7 @@
 """`behavexplor check`: drive the scenarios of a regression suite."""
 
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -41,20 +42,24 @@ def check(
     count = min(running.count, len(suite.cases))
     settings = {"unconfined": running.unconfined, "stochastic": stochastic, "activation": activation}
     waiting = patience(lambda note: None if running.quiet else say(note, file=sys.stderr))
+    begun = time.monotonic()
     try:
         with waiting, opened_driver(suite, ads, count, running.trust, **settings) as drive:
             outcomes = list(drive.all_of(suite.cases))
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    failed = sum(not outcome.passed for outcome in outcomes)
+    seconds, failed = time.monotonic() - begun, sum(not outcome.passed for outcome in outcomes)
     if not running.quiet:
         say(_listed(outcomes), end="\n\n", file=output)
     say(result(failed, len(outcomes)), file=output)
     properties = {"env": suite.env, "ads": ads or suite.driver}
     write_json(json_file, {**properties, "failed": failed, "scenarios": list(map(_values, outcomes))})
-    tested = [Tested(one.case.name, "" if one.passed else one.words, ", ".join(one.violated)) for one in outcomes]
-    write_junit(junit, suite.env, tested, properties)
+    tested = [
+        Tested(one.case.name, "" if one.passed else one.words, ", ".join(one.violated), one.case.file(folder))
+        for one in outcomes
+    ]
+    write_junit(junit, suite.env, tested, properties, seconds)
     return CHECK_FAILED if failed else OK
 
 

@@ -3,6 +3,7 @@
 import json
 import shlex
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +38,8 @@ _CODES: Final = {NON_INFERIOR: OK, INFERIOR: CHECK_FAILED, "": UNDECIDED}
 
 _SETTINGS = settings(
     CampaignConfig,
-    "env activation env_config seed method budget specs trust unconfined traffic confirm stochastic",
+    "env activation env_config seed method budget specs confirm traffic stochastic trust unconfined",
+    box="campaign",
     env=(f"that of A, or {CampaignConfig.env}", ""),
     method=("nsga2", " with --search"),
     budget=(CampaignConfig.budget, " with --search"),
@@ -75,18 +77,20 @@ def compare(  # noqa: PLR0913 - one argument for each flag
             a driver that is not shipped with behavexplor then needs --unconfined.
         out: Folder for the results, new or empty.
         json_file: Also write the table and the verdict to this JSON file; - is standard output, here and below.
-        junit: Also write the verdict to this file as JUnit XML.
+        junit: With --margin, also write the verdict to this file as JUnit XML.
         quiet: Print only the tables.
     """
     count, output = chosen_workers(workers), check_outputs(json_file, junit)
     _check(margin, first, second)
+    if junit is not None and margin is None:
+        raise InputError("--junit writes whether a threshold was met: give one with --margin")
     of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
     env = named_env(given.get("env"), first) or CampaignConfig.env
     config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})
     searching = replace(config, batch=CampaignConfig.batch, **of_search)
     if search:
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
-    folder = out or stamped_folder("compare")
+    folder, begun = out or stamped_folder("compare"), time.monotonic()
     try:
         other, pairs, verdict = _driven(config, second, folder, count, margin, quiet=quiet)
         say(table(pairs, config.env, first, second), file=output)
@@ -103,7 +107,8 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     if verdict is not None:
         say(hanging("", verdict.words), file=output)
         failure = "" if verdict.found == NON_INFERIOR else verdict.words
-        write_junit(junit, f"compare {config.env}", [Tested("non-inferior", failure)], {"A": first, "B": second})
+        tested, properties = [Tested(f"non-inferior by {margin:g}", failure)], {"A": first, "B": second}
+        write_junit(junit, f"compare {config.env}", tested, properties, time.monotonic() - begun)
     return _CODES[verdict.found] if verdict else OK
 
 

@@ -11,7 +11,7 @@ import tyro
 from behavexplor.campaign.config import stamped_folder
 from behavexplor.commands import OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.fuzz import fuzz
+from behavexplor.commands.fuzz import Checks, How, Output, fuzz
 from behavexplor.commands.report import report
 from behavexplor.commands.wording import say
 from behavexplor.data.durable import folder_in
@@ -52,7 +52,8 @@ def demo(
         model = train_small_policy(folder, meter.show, steps)
     run = folder / "run"
     _say("fuzz", "--ads", model, "--budget", budget, "--out", run)
-    code = fuzz(given={"ads": str(model), "budget": budget}, out=run)
+    search = {"budget": budget}
+    code = fuzz(how=How(out=run), driver={"ads": str(model)}, search=search, checks=Checks(), output=Output())
     if code != OK:
         return code
     _say("report", run)

@@ -240,7 +240,7 @@ class Meter:
             self._bar.update(self._task, completed=done, description=printable(text))
         elif time.monotonic() - self._last_line >= LINE_SECONDS:
             self._last_line = time.monotonic()
-            left = self._total / done - 1 if done else 0.0
+            left = max(self._total / done - 1, 0.0) if done else 0.0  # a training ends a little later
             about = f", about {clock(left * (self._last_line - self._begin))} left" if done else ""
             line = f"{done} of {self._total} {self._things}{about}  {text}"
             self._console.print(line.rstrip(), soft_wrap=True)

@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, replace
@@ -23,7 +24,7 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, 
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
+from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
 from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
@@ -54,7 +55,8 @@ _CONTROLS: Final = MappingProxyType(
 
 _SETTINGS = settings(
     CampaignConfig,
-    "env ads activation env_config seed trust unconfined traffic stochastic",
+    "env ads activation env_config seed traffic stochastic trust unconfined",
+    box="driver",
     env=(f"the policy's own, or {CampaignConfig.env}", ""),
     stochastic=(False, " By default, the rates with drawn actions are shown, too."),
 )
@@ -71,6 +73,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     out: Annotated[Path | None, flag("FOLDER", None)] = None,
     workers: Annotated[int | None, flag("N", "the cores")] = None,
     json_file: JsonFile = None,
+    junit: JUnitFile = None,
     controls: bool = True,
     quiet: Switch = False,
 ) -> int:
@@ -79,7 +82,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     Args:
         policies: Rank several drivers on a page in --out: a folder of policy files, or a YAML file of drivers by name,
             each with its settings, such as careful: {ads: careful, env: roundabout-v0}.
-        given: The driver, its environment and the seed of the scenarios.
+        given: The driver, its environment, and the seed of the scenarios.
         scenarios: Number of scenarios; with --below or --until, the greatest number.
         below: End when the rate of the outcome is known to be below, or above, this one, such as 0.001. The exit code
             is 0 if it is below, 1 if it is above, and 4 if that is not decided.
@@ -89,11 +92,14 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
             command goes on after an interruption.
         workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver;
             a driver that is not shipped with behavexplor then needs --unconfined.
-        json_file: Also write the counts to this JSON file; - is standard output.
+        json_file: Also write the counts to this JSON file; - is standard output, here and below.
+        junit: With --below, also write the verdict to this file as JUnit XML.
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         quiet: Print only the table.
     """
-    output, goal = check_outputs(json_file), _goal(outcome or Goal.outcome, below, until)
+    output, goal = check_outputs(json_file, junit), _goal(outcome or Goal.outcome, below, until)
+    if junit is not None and below is None:
+        raise InputError("--junit writes whether a threshold was met: give one with --below")
     count = scenarios if scenarios is not None else DECIDING if goal else SCENARIOS
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
@@ -101,7 +107,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     check_name(ads)
     config = campaign_config({**given, "env": named_env(given.get("env"), ads) or CampaignConfig.env})
     folder = None if out is None or policies else RateFolder(out, config)
-    run = _Run(count, config.seed, chosen_workers(workers), quiet, goal, folder)
+    run, begun = _Run(count, config.seed, chosen_workers(workers), quiet, goal, folder), time.monotonic()
     try:
         if policies is not None:
             return _ranked(policies, out, {**given, "outcome": outcome or FAILED}, run, output)
@@ -112,7 +118,11 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     _say_rates(config, found, folder, output)
     write_json(json_file, _values(config, found))
     decision = found[Path(ads).name].decision
-    return _CODES[decision.verdict] if decision is not None else OK
+    if decision is None:
+        return OK
+    tested = Tested(f"{decision.goal.outcome} below {below}", "" if decision.verdict == BELOW else decision.words)
+    write_junit(junit, f"evaluate {config.env}", [tested], {"ads": ads}, time.monotonic() - begun)
+    return _CODES[decision.verdict]
 
 
 def _say_rates(

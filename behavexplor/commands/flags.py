@@ -80,14 +80,14 @@ class Running:
 HowToRun = Annotated[Running, tyro.conf.arg(name="")]  # a parameter whose fields are flags
 
 
-def settings(kind: type, names: str, **other: tuple[object, str]) -> Any:
+def settings(kind: type, names: str, box: str = "", **other: tuple[object, str]) -> Any:
     """Return the argument settings of a parameter that takes flags: one for each of some settings.
 
     Name, type, default and description of a flag are those of the field. The parameter gets the values of the flags
     that were given, by the names of the fields. A configuration of the environment is given as a YAML file.
 
-    `names` gives the fields in the order of the help text. `other` gives other defaults for it, with a text that is
-    added to the description.
+    `names` gives the fields in the order of the help text, and `box` a title if they have a box of their own there.
+    `other` gives other defaults for it, with a text that is added to the description.
     """
     texts, types, known = described(kind), get_type_hints(kind), {one.name: one for one in fields(kind)}
     parameters = []
@@ -96,12 +96,13 @@ def settings(kind: type, names: str, **other: tuple[object, str]) -> Any:
         shown = "" if default in (MISSING, None, ()) else f"(default: {default})"
         what = tyro.conf.arg(
             name=_SINGULAR.get(one.name, one.name),
+            prefix_name=False,
             metavar=_METAVARS.get(one.name) or _METAVARS.get(types[one.name]),
             help_behavior_hint=shown,
             help=f"{texts.get(one.name, '')}{more}",  # python -OO has no descriptions
         )
         parameters.append(Parameter(one.name, Parameter.KEYWORD_ONLY, annotation=_flag_type(types[one.name], what)))
-    return tyro.conf.arg(name="", constructor=_taker(parameters))
+    return tyro.conf.arg(name=box, constructor=_taker(parameters))
 
 
 def _flag_type(kind: Any, what: Any) -> Any:

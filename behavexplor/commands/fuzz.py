@@ -10,8 +10,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TextIO
+from typing import Annotated, Any, TextIO
+
+import tyro
 
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
@@ -28,6 +31,7 @@ from behavexplor.campaign.config import (
 from behavexplor.campaign.opening import opened, stopped_by_signals
 from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.provenance import ALL, Consent
+from behavexplor.campaign.record import failure_path
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
@@ -36,7 +40,7 @@ from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.flags import Switch, check_unchanged, chosen_workers, flag, patience, settings
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
-from behavexplor.commands.wording import class_count, hanging, say
+from behavexplor.commands.wording import class_count, counted, hanging, say
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ray_cluster import MAX_NODES, parse_cluster
@@ -46,20 +50,77 @@ from behavexplor.judge.specs import ERROR
 
 
 @dataclass(frozen=True)
+class How:
+    """How a campaign runs.
+
+    Attributes:
+        config: YAML file with a configuration, or name of a preset such as "paper". Flags override it.
+        out: Run folder, new or empty.
+        resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
+        stop_after: Stop after this many failures, before the budget is used up.
+        workers: Greatest number of worker processes (no effect on the records). 0: this process, with no limits for the
+            ADS; an ADS that is not shipped with behavexplor then needs --unconfined.
+        cluster: Run the workers on a Ray cluster (docs/scale.md); without ADDRESS, on this machine.
+    """
+
+    config: Annotated[str | None, flag("FILE", None)] = None
+    out: Annotated[Path | None, flag("FOLDER", "a new one in runs/")] = None
+    resume: Annotated[Path | None, flag("RUN", None)] = None
+    stop_after: Annotated[int | None, flag("N", None)] = None
+    workers: Annotated[int | None, flag("N", "the available cores")] = None
+    cluster: Annotated[str | None, flag("ray[:ADDRESS]", None)] = None
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is printed and written.
+
+    Attributes:
+        json_file: Also write the findings to this JSON file; - is standard output, here and below.
+        junit: Also write the classes of failures to this file as JUnit XML, which CI systems show.
+        quiet: Print only the summary.
+    """
+
+    json_file: JsonFile = None
+    junit: JUnitFile = None
+    quiet: Switch = False
+
+    @cached_property
+    def text(self) -> TextIO:
+        """Where everything else is printed.
+
+        Raises:
+            InputError: if a file cannot be written.
+        """
+        return check_outputs(self.json_file, self.junit)
+
+
+@dataclass(frozen=True)
 class Checks:
     """What makes a campaign fail as a check.
+
+    Attributes:
+        fail_on_violation: Exit with code 1 if any spec is violated, for checks in CI.
+        fail_above: Exit with code 1 if more than this share of the executions failed, such as 0.05.
+        known_classes: File with one class in each line, or a --json file. Failures of these classes do not count for
+            --fail-on-violation and --fail-above.
 
     Raises:
         InputError: if the share is out of range.
     """
 
-    on_violation: bool = False  # whether any failure makes it fail
-    above: float | None = None  # share of failed executions above which it fails; None for no limit
-    known: frozenset[str] = frozenset()  # classes of failures that do not count
+    fail_on_violation: Switch = False
+    fail_above: Annotated[float | None, flag("SHARE", None)] = None
+    known_classes: Annotated[Path | None, flag("FILE", None)] = None
 
     def __post_init__(self) -> None:
-        if self.above is not None and not 0.0 <= self.above < 1.0:
-            raise InputError(f"--fail-above {self.above} must be a share from 0 to below 1, such as 0.05")
+        if self.fail_above is not None and not 0.0 <= self.fail_above < 1.0:
+            raise InputError(f"--fail-above {self.fail_above} must be a share from 0 to below 1, such as 0.05")
+
+    @cached_property
+    def known(self) -> frozenset[str]:
+        """Classes of failures that do not count; see `read_known_classes`."""
+        return read_known_classes(self.known_classes)
 
     def new_classes(self, found: RunSummary) -> Sequence[ClassSummary]:
         """Return the classes of a run that are not known."""
@@ -72,11 +133,11 @@ class Checks:
         share = counted / max(found.executions, 1)
         kind = " that are not known" if self.known else ""
         what = f"{counted} of {found.executions} executions ({share:.1%}) failed, in {class_count(len(new))}{kind}"
-        has_failed = self.on_violation and counted > 0
-        if self.above is not None:
-            has_failed |= share > self.above
-            what += f"; {'more' if share > self.above else 'not more'} than {self.above:.1%}"
-        if self.above is None and not self.on_violation:
+        has_failed = self.fail_on_violation and counted > 0
+        if self.fail_above is not None:
+            has_failed |= share > self.fail_above
+            what += f"; {'more' if share > self.fail_above else 'not more'} than {self.fail_above:.1%}"
+        if self.fail_above is None and not self.fail_on_violation:
             return True, ""
         return not has_failed, f"The check {'failed' if has_failed else 'passed'}: {what}"
 
@@ -104,20 +165,27 @@ def read_known_classes(path: Path | None) -> frozenset[str]:
     return frozenset(line for line in lines if line)
 
 
-def tested_classes(found: RunSummary, checks: Checks) -> list[Tested]:
+def tested_classes(found: RunSummary, run: Path, checks: Checks) -> list[Tested]:
     """Return a test case of JUnit for each class of failures, which fails if the class is not known."""
     new = {one.id for one in checks.new_classes(found)}
+    words = {one.id: f"{one.words}: {one.count} times, first in execution {one.first}" for one in found.classes}
     return [
-        Tested(one.id, f"{one.words}: {one.count} times, first in execution {one.first}" if one.id in new else "")
+        Tested(one.id, words[one.id] if one.id in new else "", file=failure_path(run, one.first))
         for one in found.classes
     ] or [Tested("no failures")]
 
 
 _WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."
-_SETTINGS = settings(
+_DRIVER = settings(
     CampaignConfig,
-    "env ads activation env_config method budget seed batch specs trust unconfined traffic confirm stochastic",
+    "env ads activation env_config traffic stochastic trust unconfined",
+    box="driver",
     env=(f"the policy's own, or {CampaignConfig.env}", ""),
+)
+_SEARCH = settings(
+    CampaignConfig,
+    "method budget seed batch specs confirm",
+    box="search",
     method=(
         "behavexplor; in highway-env's environments uniform",
         "".join(f"\n{name}: {describe_method(name)}" for name in METHODS),
@@ -125,102 +193,76 @@ _SETTINGS = settings(
 )
 
 
-def fuzz(  # noqa: PLR0913 - one argument for each flag
+def fuzz(
     *,
-    given: Annotated[dict[str, Any], _SETTINGS],
-    config: Annotated[str | None, flag("FILE", None)] = None,
-    workers: Annotated[int | None, flag("N", "the available cores")] = None,
-    cluster: Annotated[str | None, flag("ray[:ADDRESS]", None)] = None,
-    out: Annotated[Path | None, flag("FOLDER", "a new one in runs/")] = None,
-    resume: Annotated[Path | None, flag("RUN", None)] = None,
-    stop_after: Annotated[int | None, flag("N", None)] = None,
-    json_file: JsonFile = None,
-    junit: JUnitFile = None,
-    quiet: Switch = False,
-    fail_on_violation: Switch = False,
-    fail_above: Annotated[float | None, flag("SHARE", None)] = None,
-    known_classes: Annotated[Path | None, flag("FILE", None)] = None,
+    how: Annotated[How, tyro.conf.arg(name="")],
+    driver: Annotated[dict[str, Any], _DRIVER],
+    search: Annotated[dict[str, Any], _SEARCH],
+    checks: Annotated[Checks, tyro.conf.arg(name="check"), tyro.conf.OmitArgPrefixes],
+    output: Annotated[Output, tyro.conf.arg(name="output"), tyro.conf.OmitArgPrefixes],
 ) -> int:
     """Search for scenarios in which a driving system fails, and store every execution in a run folder.
 
     Args:
-        given: Settings of the campaign, see `behavexplor.campaign.config.CampaignConfig`.
-        config: YAML file with a configuration, or name of a preset such as "paper". Flags override it.
-        workers: Greatest number of worker processes (no effect on the records). 0: this process, with no limits for the
-            ADS; an ADS that is not shipped with behavexplor then needs --unconfined.
-        cluster: Run the workers on a Ray cluster (docs/scale.md); without ADDRESS, on this machine.
-        out: Run folder, new or empty.
-        resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
-        stop_after: Stop after this many failures, before the budget is used up.
-        json_file: Also write the findings to this JSON file; - is standard output, here and below.
-        junit: Also write the classes of failures to this file as JUnit XML, which CI systems show.
-        quiet: Print only the summary.
-        fail_on_violation: Exit with code 1 if any spec is violated, for checks in CI.
-        fail_above: Exit with code 1 if more than this share of the executions failed, such as 0.05.
-        known_classes: File with one class in each line, or a --json file. Failures of these classes do not count for
-            --fail-on-violation and --fail-above.
+        how: How the campaign runs.
+        driver: What is tested, and where.
+        search: How scenarios are found.
+        checks: What makes the campaign fail as a check.
+        output: What is printed and written.
     """
-    workers = _checked_workers(workers, cluster)
-    checks = Checks(fail_on_violation, fail_above, read_known_classes(known_classes))
-    files = Files(json_file, junit, check_outputs(json_file, junit))
-    _check_together(stop_after, resume, is_new=bool(config or out or "specs" in given))
-    chosen = _resumed_config(resume, given) if resume else _new_config(given, config)
-    display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
+    given, workers, resumed = {**driver, **search}, _checked_workers(how.workers, how.cluster), how.resume
+    text, _ = output.text, checks.known  # files are looked at before the work
+    _check_together(how, given)
+    chosen = _resumed_config(resumed, given) if resumed else _new_config(given, how.config)
+    display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=output.quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
-    folder = resume or out or run_folder(chosen)
+    folder = resumed or how.out or run_folder(chosen)
     making = opened(
         chosen,
         folder,
         workers,
-        resume=resume is not None,
-        cluster=cluster or "",
-        stop_after=stop_after,
-        patience=patience(display.say, _WAITING_FOR_NODE, 0.5) if cluster else patience(display.say),
+        resume=resumed is not None,
+        cluster=how.cluster or "",
+        stop_after=how.stop_after,
+        patience=patience(display.say, _WAITING_FOR_NODE, 0.5) if how.cluster else patience(display.say),
     )
     with making as ready, _stoppable(ready.campaign, display):
         if ready.store.repaired:
             display.say(ready.store.repaired)
         for warning in ready.warnings:
             display.say(f"Warning: {warning}")
-        code = _run(ready.campaign, ready.store, display, chosen.method, files.text)
+        code = _run(ready.campaign, ready.store, display, chosen.method, text)
         if ready.campaign.progress.executions:
-            code = _checked(code, ready.campaign.progress, folder, checks, files)
+            code = _checked(code, ready.campaign.progress, folder, checks, output)
         return code
 
 
-def _check_together(stop_after: int | None, resume: Path | None, *, is_new: bool) -> None:
+def _check_together(how: How, given: Mapping[str, Any]) -> None:
     """Check flags that do not depend on the campaign."""
-    if stop_after is not None and stop_after < 1:
-        raise InputError(f"--stop-after {stop_after} must be at least 1")
-    if resume and is_new:
+    if how.stop_after is not None and how.stop_after < 1:
+        raise InputError(f"--stop-after {how.stop_after} must be at least 1")
+    if how.resume and (how.config or how.out or "specs" in given):
         raise InputError(
             "--config, --spec and --out cannot be given with --resume: the run folder already has a configuration"
         )
 
 
-class Files(NamedTuple):
-    """Where the findings are written: files, and what is printed."""
-
-    json: Path | None
-    junit: Path | None
-    text: TextIO
-
-
-def _checked(code: int, progress: Progress, folder: Path, checks: Checks, files: Files) -> int:
+def _checked(code: int, progress: Progress, folder: Path, checks: Checks, output: Output) -> int:
     """Write the findings of a campaign to files, check them, and return the exit code."""
-    if (files.json, files.junit, checks) == (None, None, Checks()) and not progress.violations.get(ERROR):
+    if (output.json_file, output.junit, checks) == (None, None, Checks()) and not progress.violations.get(ERROR):
         return code  # without reading the whole run once more
     found = summarize(folder)
-    write_json(files.json, summary_values(found, folder, checks))
+    write_json(output.json_file, summary_values(found, folder, checks))
     properties = {"env": found.env, "ads": found.ads, "method": found.method, **found.digests}
-    write_junit(files.junit, f"fuzz {found.env}", tested_classes(found, checks), properties)
+    tested = tested_classes(found, folder, checks)
+    write_junit(output.junit, f"fuzz {found.env}", tested, properties, found.elapsed)
     if code == OK and found.violations.get(ERROR, 0) == found.executions:
         say(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
         return EXECUTION_FAILED
     passed, words = checks.outcome(found) if code == OK else (True, "")
     if words:
         text = hanging("", sentence(words)) if passed else f"{program()}: {sentence(words)}"
-        say(text, file=files.text if passed else sys.stderr)
+        say(text, file=output.text if passed else sys.stderr)
     return code if passed else CHECK_FAILED
 
 
@@ -256,7 +298,7 @@ def _confirm(campaign: Campaign, display: Display) -> str | None:
     """Let highway-env confirm failures, and return why that could not be done; None if nothing went wrong."""
     if campaign.stopping or not (count := len(campaign.unconfirmed)):
         return None
-    display.say(f"Confirming {count} failures in highway-env")
+    display.say(f"Confirming {counted(count, 'failure')} in highway-env")
     try:
         with display.meter(count, "failures") as meter:
             campaign.confirm(meter.show)

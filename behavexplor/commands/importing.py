@@ -13,7 +13,7 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.export import check_libraries, road_of
 from behavexplor.commands.flags import GivenActivation, Switch
 from behavexplor.commands.outputs import write_json
-from behavexplor.commands.wording import say
+from behavexplor.commands.wording import hanging, say
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import env_code
 from behavexplor.data.scenario import Scenario
@@ -114,7 +114,7 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
             return EXECUTION_FAILED
     judged = judgment(data, None, SPECS)
     trace, violated = judged.trace, judged.verdict.violated
-    say(f"{logical.describe(scenario)}: {outcome(violated, trace.end)} after {trace.duration:.2f} s")
+    say(hanging("", f"{logical.describe(scenario)}: {outcome(violated, trace.end)} after {trace.duration:.2f} s"))
     if judged.violation_class is not None:
         say(f"Class: {judged.violation_class}")
     return OK

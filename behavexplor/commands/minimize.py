@@ -14,7 +14,7 @@ from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.errors import InputError, sentence
 from behavexplor.judge.classes import words_of
-from behavexplor.triage.findings import Minimized
+from behavexplor.triage.findings import Minimized, fault_words
 from behavexplor.triage.minimization import LIMIT, RunMinimization
 
 _COLUMNS = ("id", "parts", "free values", "executions")
@@ -83,7 +83,7 @@ def table(found: Sequence[Minimized]) -> str:
         lines += [
             plain_text(made),
             "",
-            *(hanging(f"{one.id:6}  ", f"{words_of(one.class_id)} ({_named(one)})") for one in kept),
+            *(line for one in kept for line in _named(one)),
             "",
             hanging(
                 "",
@@ -99,6 +99,7 @@ def table(found: Sequence[Minimized]) -> str:
     return "\n".join(lines)
 
 
-def _named(one: Minimized) -> str:
-    """Return the class of a failure, with the fault if it is known."""
-    return f"{one.class_id}, fault: {one.fault.replace('_', ' ')}" if one.fault else one.class_id
+def _named(one: Minimized) -> list[str]:
+    """Return the class of a failure in lines, with the fault if it is known."""
+    lines = [hanging(f"{one.id:6}  ", f"{words_of(one.class_id)} ({one.class_id})")]
+    return lines + ([hanging(" " * 8, f"fault: {fault_words(one.fault)}")] if one.fault else [])

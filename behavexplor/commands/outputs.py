@@ -2,16 +2,15 @@
 
 import io
 import json
-import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple, TextIO
 
 import tyro
-from junitparser import Failure, JUnitXml, TestCase, TestSuite
+from junitparser import Attr, Failure, JUnitXml, TestCase, TestSuite
 
-from behavexplor.data.durable import write_given
+from behavexplor.data.durable import check_given, write_given
 from behavexplor.errors import InputError
 
 STANDARD: Final = Path("-")  # standard output
@@ -41,8 +40,10 @@ def _check(path: Path) -> None:
         raise InputError(f"{path} is a folder: name a file")
     if not path.parent.is_dir():
         raise InputError(f"{path} cannot be written: there is no folder {path.parent}")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise InputError(f"{path} cannot be written: permission denied")
+    try:
+        check_given(path)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def write_json(path: Path | None, values: Any) -> None:
@@ -60,11 +61,19 @@ class Tested(NamedTuple):
     name: str  # its name
     failure: str = ""  # why it failed; empty if it passed
     kind: str = ""  # kind of the failure
-    seconds: float = 0.0  # how long it took [s]
+    file: Path | None = None  # file of its scenario; None if there is none
 
 
-def write_junit(path: Path | None, suite: str, tested: Iterable[Tested], properties: Mapping[str, str]) -> None:
+class _Case(TestCase):
+    file = Attr()
+
+
+def write_junit(
+    path: Path | None, suite: str, tested: Sequence[Tested], properties: Mapping[str, str], seconds: float
+) -> None:
     """Write test cases as JUnit XML, which CI systems show, if there is a file for them.
+
+    They took `seconds` together. Scenarios are driven at the same time, so the time of one of several is not known.
 
     Raises:
         InputError: if it cannot be written.
@@ -72,13 +81,17 @@ def write_junit(path: Path | None, suite: str, tested: Iterable[Tested], propert
     if path is None:
         return
     made = TestSuite(f"behavexplor {suite}")
+    time = round(seconds, 3)
     for name, value in properties.items():
         made.add_property(name, value)
     for one in tested:
-        case = TestCase(one.name, classname=suite, time=round(one.seconds, 3))
+        case = _Case(one.name, classname=suite, time=time if len(tested) == 1 else None)
+        if one.file is not None:
+            case.file = str(one.file)
         if one.failure:
             case.result = [Failure(one.failure, one.kind)]
         made.add_testcase(case)
+    made.time = time  # after the cases, whose times junitparser would add up
     document, written = JUnitXml(), io.BytesIO()
     document.add_testsuite(made)
     document.write(written, pretty=True)

@@ -81,7 +81,7 @@ def train(
     write_durably(folder / CARD, _card(config, found))
     say(table(config.env, {network.name: found}))
     name = shlex.quote(str(network))
-    say(f"The policy is in {name}. Search for its failures: {program()} fuzz --env {config.env} --ads {name}")
+    say(f"The policy is in {name}\nSearch for its failures:\n{program()} fuzz --env {config.env} --ads {name}")
     return OK
 
 

@@ -12,14 +12,14 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.wording import class_count, hanging, say
+from behavexplor.commands.wording import class_count, counted, hanging, say
 from behavexplor.data.trace import UNKNOWN
 from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
-from behavexplor.triage.findings import Finding, Sighting, Triage, counted
+from behavexplor.triage.findings import Finding, Sighting, Triage, fault_words, tally
 from behavexplor.triage.run_triage import RunTriage, agreement
 
-_NUMBER = re.compile(r" \d+$")  # of a driver that acts by chance
+_NUMBER = re.compile(r" \d+$")  # of random actions
 _BELOW = " " * 9  # the number of a class
 
 
@@ -52,10 +52,12 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
 def report(found: Triage) -> str:
     """Return the tables for the terminal."""
     flaky = sum(not finding.same_verdict for finding in found.findings)
-    again = f"{flaky} did not reproduce" if flaky else "all replayed failures reproduced"
+    again = f"{flaky} did not happen again" if flaky else "all happened again when they were driven again"
     classes = class_count(len(found.classes))
     lines = [
-        hanging("", f"{len(found.findings)} failures in {found.executions} executions, in {classes}; {again}"),
+        hanging(
+            "", f"{counted(len(found.findings), 'failure')} in {found.executions} executions, in {classes}; {again}"
+        ),
         "",
         *_class_lines(found),
         *_witnesses(found.findings),
@@ -89,13 +91,13 @@ def report(found: Triage) -> str:
 
 def _witnesses(findings: Sequence[Finding]) -> list[str]:
     """Return who or what avoided the preventable collisions."""
-    names = counted(_NUMBER.sub("", finding.avoidance) for finding in findings if finding.avoidance)
+    names = tally(_NUMBER.sub("", finding.avoidance) for finding in findings if finding.avoidance)
     return ["", hanging("", f"Preventable collisions were avoided by: {names}")] if names else []
 
 
 def _last_chances(findings: Sequence[Finding]) -> list[str]:
     """Return what the policy did at the last decisions at which its crashes could still be avoided."""
-    words = counted(finding.last_chance.words for finding in findings if finding.last_chance)
+    words = tally(finding.last_chance.words for finding in findings if finding.last_chance)
     return ["", hanging("", f"At the last chance to avoid a crash, the driver chose: {words}")] if words else []
 
 
@@ -106,7 +108,10 @@ def _class_lines(found: Triage) -> list[str]:
         first = findings[0].id
         shown = next((finding.id for finding in findings if finding.same_trace), first)
         look = "" if shown == first else f", look at {shown}"
-        said = {"fault": counted(f.fault for f in findings), "cause": counted(f.cause for f in findings)}
+        said = {
+            "fault": tally(fault_words(f.fault) for f in findings if f.fault),
+            "cause": tally(f.cause for f in findings),
+        }
         lines += [hanging(f"{len(findings):7}  ", words_of(class_id))]
         lines += [hanging(_BELOW, f"{class_id}, first {first}{look}")]
         lines += [hanging(f"{_BELOW}{name}: ", text) for name, text in said.items() if text]

@@ -44,7 +44,7 @@ def zip(  # noqa: A001 - the command's name
         raise missing_library("A model of Stable-Baselines3", error.name, "rl") from None
     write_model(network, trained_in, out)
     command = f"{program()} fuzz --env {shlex.quote(trained_in)} --ads {shlex.quote(str(out))}"
-    say(f"The model is in {out}. It drives as {policy}: {command}")
+    say(f"The model is in {out}\nIt drives as {policy}:\n{command}")
     return OK
 
 

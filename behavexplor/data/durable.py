@@ -7,6 +7,7 @@ may be a link itself; what lies in it does not lead out of it.
 import errno
 import os
 import stat
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import BufferedWriter
@@ -46,6 +47,19 @@ def write_given(path: Path, text: str) -> None:
         path.write_text(text)
     else:
         write_durably(path, text)
+
+
+def check_given(path: Path) -> None:
+    """Check that `write_given` can write a file, by writing another one beside it, which is removed at once.
+
+    Raises:
+        OSError: if it cannot.
+    """
+    if path.exists() and not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    if path.is_file() or not path.exists():
+        with tempfile.NamedTemporaryFile(prefix=f"{path.name}.", dir=path.parent):
+            pass
 
 
 def append_durably(path: Path, content: bytes) -> None:

@@ -81,7 +81,7 @@ def _refuse_unknown(kind: type[Any], values: Mapping[str, Any], what: str) -> No
     known = [entry.name for entry in fields(kind)]
     for key, value in values.items():
         if key not in known and not known:
-            raise InputError(f"{key!r} is not known: this {what} has no keys")
+            raise InputError(f"Unknown key of the {what} {key!r}: there are none")
         if key not in known:
             raise unknown_name(f"key of the {what}", str(key), known)
         if is_dataclass(kinds[key]) and isinstance(value, Mapping):

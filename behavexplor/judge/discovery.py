@@ -62,8 +62,8 @@ class Discovery:
         if method not in INDEPENDENT:
             return "A guided search cannot tell how many classes it has not found; another seed finds more."
         return (
-            f"The next execution shows a new class with a probability of at most {self.new_chance_limit:.1%}, and as "
-            f"many further ones, as with another seed, show at most {self.next_limit} new "
+            f"The next execution shows a new class with a probability of at most {self.new_chance_limit:.1%}, and a "
+            f"second campaign of this size, with another seed, at most {self.next_limit} new "
             f"{'class' if self.next_limit == 1 else 'classes'} (95 %)."
         )
 

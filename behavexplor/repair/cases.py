@@ -80,6 +80,10 @@ class Case:
         """Name of the case and of its file."""
         return re.sub(r"[^\w-]+", "-", f"{self.class_id}-{self.execution}")
 
+    def file(self, suite: Path) -> Path:
+        """Return the file of the case in the folder of a suite."""
+        return suite / CASES / f"{self.name}.yaml"
+
     def load_scenario(self) -> Scenario:
         """Return the scenario.
 
@@ -164,9 +168,9 @@ class Suite:
         check_free(folder)
         remember(own_digests(self.claim))  # without it, the suite must be trusted, as on another machine
         try:
-            scenarios = folder_in(folder, CASES)
+            folder_in(folder, CASES)
             for case in self.cases:
-                write_durably(scenarios / f"{case.name}.yaml", _case_text(case))
+                write_durably(case.file(folder), _case_text(case))
             write_durably(folder / TEST, _TEST_TEXT)
             values: dict[str, Any] = {
                 "env": self.env,

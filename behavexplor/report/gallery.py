@@ -4,7 +4,6 @@ import base64
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +14,7 @@ from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import R1, violation_event
 from behavexplor.report.marks import decisions, violation_place
 from behavexplor.report.reading import ReportedRun
-from behavexplor.triage.findings import Finding, Minimized, counted
+from behavexplor.triage.findings import Finding, fault_words, tally
 
 Steps = Ints
 
@@ -127,7 +126,7 @@ class Card:
     look_at: int  # first execution that triage reproduced exactly; if there is none, the first execution
     facts: tuple[tuple[str, str], ...] = ()  # names and values of further facts
     replays: tuple[int | str, ...] = ()  # executions with their replays in the page, or what `minimal_name` returns
-    is_minimal: bool = False  # whether this card shows a minimized failure
+    minimal: int | None = None  # execution that is also shown in its simplest scenario; None if none is
 
 
 def minimal_name(number: int) -> str:
@@ -155,28 +154,18 @@ def cards(run: ReportedRun, limit: int) -> tuple[Card, ...]:
     for turn, i in turns[:limit]:
         chosen[i].append(queues[i][turn])
     full = [replace(card, replays=tuple(numbers)) for card, numbers in zip(found, chosen, strict=True)]
-    shown: list[Card] = []
-    for card in full:
-        alike = (one for one in run.minimized.values() if one.class_id == card.class_id and one.reproduced)
-        shown += [card, *(_minimal_card(card, one) for one in islice(alike, 1))]
-    return tuple(shown)
+    return tuple(_with_minimal(card, run) for card in full)
 
 
-def _minimal_card(card: Card, minimal: Minimized) -> Card:
-    """Return the card beside that of a class, with one of its failures in the simplest scenario."""
+def _with_minimal(card: Card, run: ReportedRun) -> Card:
+    """Return a card that also shows one of its failures in the simplest scenario, if there is one."""
+    alike = (one for one in run.minimized.values() if one.class_id == card.class_id and one.reproduced)
+    if (minimal := next(alike, None)) is None:
+        return card
     sizes = zip(("parts", "free values"), minimal.found, minimal.minimal, strict=True)
-    facts = tuple((name, f"{before} \N{RIGHTWARDS ARROW} {after}") for name, before, after in sizes)
-    return Card(
-        class_id=card.class_id,
-        spec=card.spec,
-        words=f"The failure of execution {minimal.id} in the simplest scenario in which it still happens",
-        count=1,
-        first=minimal.id,
-        look_at=minimal.id,
-        facts=facts,
-        replays=(minimal_name(minimal.id),),
-        is_minimal=True,
-    )
+    simpler = ", ".join(f"{name} {before} \N{RIGHTWARDS ARROW} {after}" for name, before, after in sizes)
+    facts = (*card.facts, ("simplest scenario", f"of execution {minimal.id}: {simpler}"))
+    return replace(card, facts=facts, replays=(*card.replays, minimal_name(minimal.id)), minimal=minimal.id)
 
 
 def _card(class_id: str, findings: list[Finding], examined: frozenset[int]) -> Card:
@@ -184,11 +173,11 @@ def _card(class_id: str, findings: list[Finding], examined: frozenset[int]) -> C
     known = [finding for finding in findings if finding.id in examined]
     shown = next((finding for finding in known if finding.same_trace), first)
     facts = {
-        "fault": counted(finding.fault for finding in known),
-        "cause": counted(finding.cause for finding in known),
-        "signature": counted(finding.signature for finding in known),
-        "last chance": counted(finding.last_chance.words for finding in known if finding.last_chance),
-        "avoidable by": counted(finding.avoidance for finding in known),
+        "fault": tally(fault_words(finding.fault) for finding in known if finding.fault),
+        "cause": tally(finding.cause for finding in known),
+        "signature": tally(finding.signature for finding in known),
+        "last chance": tally(finding.last_chance.words for finding in known if finding.last_chance),
+        "avoidable by": tally(finding.avoidance for finding in known),
         "not reproduced": str(sum(not finding.same_verdict for finding in known) or ""),
     }
     listed = tuple((name, text) for name, text in facts.items() if text)

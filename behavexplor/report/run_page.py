@@ -145,7 +145,7 @@ def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first:
     """
     gallery = cards(run, limit)
     replayed = {*wanted_first, *(name for card in gallery for name in card.replays if isinstance(name, int))}
-    classes = [card for card in gallery if card.class_id != PASSED and not card.is_minimal]
+    classes = [card for card in gallery if card.class_id != PASSED]
     strips = [(card.look_at, card.class_id) for card in classes][:_CLASS_RIBBONS]
     new = [entry.id for entry in run.entries if entry.novel and not entry.violated]
     strips += [(name, PASSED) for name in evenly(new, _PASSED_RIBBONS)]
@@ -218,7 +218,7 @@ def _replays(
 def _minimal_replays(run: ReportedRun, gallery: Sequence[Card]) -> dict[str, Any]:
     """Return the replays of minimized failures by their names."""
     replays = {}
-    for number in (card.look_at for card in gallery if card.is_minimal):
+    for number in (card.minimal for card in gallery if card.minimal is not None):
         minimal, path = run.minimized[number], trace_path(run.folder, number)
         try:
             trace = Trace.from_bytes(read_file(path))

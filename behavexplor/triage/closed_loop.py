@@ -2,7 +2,7 @@
 
 In a highway-env environment, the other vehicles react to the ego, so a maneuver cannot be tried against their recorded
 motion. Other drivers drive the scenario from its start instead: a careful one, those that always do the same, and some
-that act by chance.
+of random actions.
 """
 
 import json
@@ -26,7 +26,7 @@ from behavexplor.judge.specs import judge
 from behavexplor.triage.findings import OtherDriver
 
 CONSTANT: Final = ("SLOWER", "IDLE", "FASTER", "LANE_LEFT", "LANE_RIGHT")  # in the order in which they are named
-BY_CHANCE: Final = 11  # drivers that act by chance
+RANDOM: Final = 11  # drivers of random actions
 HELD: Final = 2  # decisions for which such a driver keeps an action
 MOST_DECISIONS: Final = 500
 STANDING_STILL: Final = "standing still"  # what a witness is called that avoids the crash by no more than that
@@ -65,8 +65,8 @@ def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> tuple[Othe
     Return the first one, rather one that does not stand still in the end, or None; the number of drivers that were
     tried, 0 if they cannot drive there; and what that says of the crash, None if others only failed in another way.
     """
-    constant, by_chance = [f"always {name}" for name in CONSTANT], [f"by chance {i}" for i in range(1, BY_CHANCE + 1)]
-    names = ["careful", *constant, *by_chance]
+    constant, random = [f"always {name}" for name in CONSTANT], [f"random actions {i}" for i in range(1, RANDOM + 1)]
+    names = ["careful", *constant, *random]
     try:
         traces = _driven(scenario, _actions(rng))
     except (InputError, ADSError):  # the latter where the environment has a wrapper of its own around what they see
@@ -101,7 +101,7 @@ def drive_again(scenario: DrawnScenario, driver: OtherDriver) -> Trace:
 def _actions(rng: np.random.Generator) -> Actions:
     """Return the actions of all drivers but the careful one, shape (drivers, decisions)."""
     constant = np.array([[MANEUVERS.index(name)] * MOST_DECISIONS for name in CONSTANT])
-    drawn = rng.integers(len(MANEUVERS), size=(BY_CHANCE, MOST_DECISIONS // HELD))
+    drawn = rng.integers(len(MANEUVERS), size=(RANDOM, MOST_DECISIONS // HELD))
     return np.concatenate([constant, np.repeat(drawn, HELD, axis=1)])
 
 

@@ -10,6 +10,7 @@ the whole execution is repeated.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from behavexplor.ads.rule import Parameters, RulePlanner
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.data.array_types import Bools, Floats
+from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import ENVIRONMENT, UNKNOWN, Trace, weakness_names
 from behavexplor.execution.rollout import rollout, rollout_all
@@ -47,7 +49,7 @@ class ForkedPlanner:
     def __init__(self, planner: RulePlanner, actions: Floats, forks: Sequence[Fork]) -> None:
         self._planner = planner
         self._actions = actions
-        self._others = [RulePlanner(planner.roadmap, fork.parameters) for fork in forks]
+        self._others = [_planner(planner.roadmap, fork.parameters) for fork in forks]
         self._decision = np.array([fork.decision for fork in forks])
         self.observation: Mapping[str, Any] = planner.observation
         self.action: Mapping[str, Any] = planner.action
@@ -76,6 +78,11 @@ class ForkedPlanner:
             own, memories = other.predict(observation[[row]], None if memory is None else memory[[row]])
             actions[row], after[row] = own[0], memories[0]
         return actions, (step + 1, np.stack(after))
+
+
+@lru_cache(maxsize=128)  # the same few planners continue all failures of a run, and none of them remembers anything
+def _planner(roadmap: RoadMap, parameters: Parameters) -> RulePlanner:
+    return RulePlanner(roadmap, parameters)
 
 
 def run_forks(

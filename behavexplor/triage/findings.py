@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Self, TypeVar
 
 import numpy as np
@@ -30,6 +31,18 @@ T = TypeVar("T")
 
 FORMAT: Final = 1  # of the files of triage and of minimization
 TRIAGE, WITNESSES = "triage.json", "witnesses"
+_FAULTS: Final = MappingProxyType(
+    {
+        "ego_cut_in": "the ego's (it cut in)",
+        "npc_rear_end": "another vehicle's (it hit the ego from behind)",
+        "struck_stationary": "another vehicle's (the ego stood)",
+        "npc_wreck": "not clear (the other vehicle had crashed before)",
+        "preventable": "the ego's (preventable)",
+        "standing_still_avoids_it": "not clear (only standing still avoids it)",
+        "unpreventable": "not the ego's (no way to avoid it was found)",
+        "other": "not clear",
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -200,12 +213,15 @@ class OtherDriver:
     actions: tuple[int, ...]  # its meta-actions, one for each decision, by their index in highway-env
 
 
-def counted(names: Iterable[str | None]) -> str:
+def fault_words(fault: str) -> str:
+    """Return a verdict of `behavexplor.triage.blame` in words: whose fault a collision was, and why."""
+    return _FAULTS.get(fault, fault.replace("_", " "))
+
+
+def tally(names: Iterable[str | None]) -> str:
     """Return names as text, the most frequent first. Counts are included if there are several different names."""
     counts = Counter(name for name in names if name is not None).most_common()
-    if len(counts) == 1:
-        return counts[0][0].replace("_", " ")
-    return ", ".join(f"{name} {count}" for name, count in counts).replace("_", " ")
+    return ", ".join(f"{count} x {name}" if len(counts) > 1 else name for name, count in counts)
 
 
 def witness_path(folder: Path, number: int) -> Path:

@@ -83,7 +83,7 @@ def test_a_driver_that_fails_is_ranked_with_its_errors(tmp_path):
 def test_a_folder_of_policies_is_listed_by_names():
     found = listed("docs/data/policies")
     assert found["roundabout"] == {"ads": "docs/data/policies/roundabout.zip"}
-    assert "stock-wide" not in found
+    assert "highway-wide" not in found
 
 
 def test_the_list_in_docs_has_every_policy():

@@ -15,6 +15,7 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
 from behavexplor.commands import OK, main
+from behavexplor.commands.wording import counted
 from behavexplor.execution.simulation import Simulation
 from behavexplor.report.reading import read_run
 from tests.envs.highway import strange
@@ -113,7 +114,7 @@ def test_a_disagreement_is_shown_as_an_error_of_this_package(tmp_path, workers, 
     assert main(["fuzz", *arguments, "--out", folder, "--unconfined"]) == OK
     words = "is an error of behavexplor and not of the driver: the compiled engine and highway-env disagree: the"
     said = capsys.readouterr()
-    assert f"Confirming {len(known(tmp_path / 'run'))} failures in highway-env" in said.err
+    assert f"Confirming {counted(len(known(tmp_path / 'run')), 'failure')} in highway-env" in said.err
     assert words in " ".join(said.out.split())
     assert {one.state for one in known(tmp_path / "run").values()} == {"disagrees"}
     assert all(record["violated"] != ["error"] for record, _ in records(tmp_path / "run"))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from behavexplor.campaign.database_rows import rebuild
-from behavexplor.campaign.record import DATABASE, Losses, Record
+from behavexplor.campaign.record import DATABASE, Losses, Record, failure_path
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
@@ -93,7 +93,7 @@ def test_each_failure_has_a_file(store):
     store.add(execution(0))
     store.add(execution(1, ["collision"]))
     store.commit()
-    assert json.loads(store.failure_path(1).read_text()) == execution(1, ["collision"]).record.to_dict()
+    assert json.loads(failure_path(store.folder, 1).read_text()) == execution(1, ["collision"]).record.to_dict()
     assert [path.name for path in (store.folder / "failures").iterdir()] == ["000001.json"]
 
 
@@ -101,7 +101,7 @@ def test_each_failure_has_a_file(store):
 def test_the_file_of_a_failure_that_a_power_cut_took_is_written_again(store, lose):
     store.add(execution(0, ["collision"]))
     store.commit()
-    path = store.failure_path(0)
+    path = failure_path(store.folder, 0)
     text = path.read_text()
     lose(path)
     losses = Losses()

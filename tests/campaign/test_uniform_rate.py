@@ -38,7 +38,7 @@ def test_uniform_draws_are_their_own_rate(tmp_path, capsys):
     words = " ".join(capsys.readouterr().out.split())
     run = behavexplor.open_run(tmp_path / "run")
     assert run.summary.uniform == UniformRate(12, run.summary.failed)
-    assert f"so this is the driver's failure rate: {run.summary.failed} of 12 (" in words
+    assert f"so the driver's failure rate is {run.summary.failed / 12:.1%} (95%: " in words
     with Store.read(run.folder)._connection as connection:
         assert connection.execute("SELECT count(*) FROM meta WHERE key = 'uniform'").fetchone() == (0,)
 
@@ -46,12 +46,17 @@ def test_uniform_draws_are_their_own_rate(tmp_path, capsys):
 def test_the_summary_and_the_page_say_which_number_is_the_drivers(tmp_path, capsys):
     file = tmp_path / "found.json"
     assert main([*FUZZ, "--budget", "24", "--out", str(tmp_path / "run"), "--quiet", "--json", str(file)]) == OK
-    said = "so this is not the driver's failure rate. Its rate is that in scenarios which are drawn uniformly: "
-    assert said in " ".join(capsys.readouterr().out.split())
     rate = json.loads(file.read_text())["uniform"]
+    said = (
+        f"Of 6 uniformly drawn ones, {rate['failed']} failed, so the driver's failure rate is {rate['rate']:.1%} (95%"
+    )
+    assert said in " ".join(capsys.readouterr().out.split())
     assert rate["low"] <= rate["rate"] <= rate["high"]
     assert main(["report", str(tmp_path / "run")]) == OK
-    assert "The search chose its scenarios, so this is not the" in (tmp_path / "run" / "report.html").read_text()
+    assert (
+        "The search chose these scenarios, so their share of failures is not the"
+        in (tmp_path / "run" / "report.html").read_text()
+    )
 
 
 def test_no_failure_is_not_certainty():
@@ -59,7 +64,7 @@ def test_no_failure_is_not_certainty():
     assert rate.interval[0] == 0.0
     assert rate.interval[1] == pytest.approx(1 - 0.025 ** (1 / 200))
     assert own_rate("nsga2", 10, 3, Budget(executions=10)) is None
-    assert "not the driver's failure rate" in explained("nsga2", None)
+    assert "not the driver's rate" in explained("nsga2", None)
     assert own_rate("uniform", 0, 0, Budget(seconds=1.0)) is None
 
 

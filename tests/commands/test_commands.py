@@ -27,7 +27,10 @@ from behavexplor.report import drawing
 from tests.campaign.test_store import stored_run
 
 ROOT = Path(__file__).parents[2]
-FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "0", "--unconfined"]
+BEGUN = ["fuzz", "--workers", "0", "--unconfined"]
+FUZZ = [*BEGUN, "--ads", "tests.drivers:cruiser"]
+WITH_WORKERS = ["fuzz", "--unconfined"]
+ENDLESS = [*WITH_WORKERS, "--ads", "tests.drivers:cruiser", "--budget", "400"]
 
 
 def run(*arguments):
@@ -79,10 +82,11 @@ def test_records_are_one_json_object_a_line(finished):
     assert all({"violated", "degree", "novelty", "end"} <= record.keys() for record in lines)
 
 
-@pytest.mark.parametrize("extra", [["--workers", "2"], ["--quiet"]])
+@pytest.mark.parametrize("extra", [["--workers", "2"], ["--workers", "0", "--quiet"]])
 def test_the_same_seed_prints_the_same_records(finished, tmp_path, extra):
     folder, _ = finished
-    result = run(*FUZZ, "--budget", 12, "--seed", 5, "--method", "uniform", "--out", tmp_path / "again", *extra)
+    flags = ["--ads", "tests.drivers:cruiser", "--budget", 12, "--seed", 5, "--method", "uniform", *extra]
+    result = run(*WITH_WORKERS, *flags, "--out", tmp_path / "again")
     assert result.returncode == 0
     assert run("records", tmp_path / "again").stdout == run("records", folder).stdout
 
@@ -149,14 +153,14 @@ def test_a_replay_that_differs_is_said_to(finished, tmp_path, monkeypatch):
 
 
 def test_violations_fail_a_check_only_when_asked(tmp_path):
-    arguments = [*FUZZ, "--ads", "tests.drivers:Swerver", "--budget", "2"]
+    arguments = [*BEGUN, "--ads", "tests.drivers:Swerver", "--budget", "2"]
     assert run(*arguments, "--out", tmp_path / "a").returncode == 0
     assert run(*arguments, "--out", tmp_path / "b", "--fail-on-violation").returncode == 1
 
 
 @pytest.mark.parametrize("ads", ["tests.drivers:Cruiser", "tests.drivers:make_cruiser", "tests.drivers:Settable"])
 def test_a_class_or_function_makes_the_ads(tmp_path, ads):
-    result = run(*FUZZ, "--ads", ads, "--budget", 2, "--out", tmp_path / "a")
+    result = run(*BEGUN, "--ads", ads, "--budget", 2, "--out", tmp_path / "a")
     assert result.returncode == 0
 
 
@@ -264,7 +268,7 @@ def test_a_folder_that_is_not_empty_is_kept(tmp_path):
 def test_what_an_ads_does_instead_of_driving_is_recorded(driver, kind, message, workers, tmp_path):
     (tmp_path / "limits.yaml").write_text("time_limit: 2\nmemory_limit: 3\n")
     flags = ["--method", "uniform", "--budget", 3, "--workers", workers, "--config", tmp_path / "limits.yaml"]
-    result = run(*FUZZ, *flags, "--ads", f"tests.drivers:{driver}", "--out", tmp_path / "a")
+    result = run(*WITH_WORKERS, *flags, "--ads", f"tests.drivers:{driver}", "--out", tmp_path / "a")
     assert result.returncode == (0 if driver == "Faulty" else 3), result.stderr  # 3: it failed in every execution
     assert "Traceback" not in result.stderr
     assert "Warning" in result.stderr or kind in {"crash", "hang"}
@@ -282,14 +286,15 @@ def test_what_an_ads_does_instead_of_driving_is_recorded(driver, kind, message, 
 
 
 def test_workers_use_one_thread_each(tmp_path):
-    result = run(*FUZZ, "--ads", "tests.drivers:Threads", "--budget", 4, "--workers", 2, "--out", tmp_path / "a")
+    flags = ["--ads", "tests.drivers:Threads", "--budget", 4, "--workers", 2]
+    result = run(*WITH_WORKERS, *flags, "--out", tmp_path / "a")
     assert result.returncode == 0, result.stderr
 
 
 def start(folder, *arguments, under=()):
     """A campaign in the background, once it has stored something; `under` another command."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [*under, sys.executable, "-m", "behavexplor", *FUZZ, "--budget", "400", "--out", str(folder), *arguments]
+    command = [*under, sys.executable, "-m", "behavexplor", *ENDLESS, "--out", str(folder), *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and process.poll() is None:
@@ -343,7 +348,7 @@ def test_a_terminal_that_is_closed_ends_the_campaign_and_all_its_processes(tmp_p
     pid, terminal = pty.fork()
     if pid == 0:
         os.environ["PYTHONPATH"] = str(ROOT)
-        command = ["-m", "behavexplor", *FUZZ, "--budget", "400", "--workers", "1", "--out", str(tmp_path / "a")]
+        command = ["-m", "behavexplor", *ENDLESS, "--workers", "1", "--out", str(tmp_path / "a")]
         os.execv(sys.executable, [sys.executable, *command])
     deadline = time.monotonic() + 60
     while stored(tmp_path / "a") < 10 and time.monotonic() < deadline:

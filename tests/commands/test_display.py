@@ -124,8 +124,8 @@ def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the
     assert "The 8 most frequent classes:\n     10  R1/kind-10\n         R1/kind-10, first 20\n" in text
     assert "kind-07" not in text
     assert (
-        "The next execution shows a new class with a probability of at most 10.6%, and as\n"
-        "many further ones, as with another seed, show at most 4 new classes (95 %).\n" in text
+        "The next execution shows a new class with a probability of at most 10.6%, and a\n"
+        "second campaign of this size, with another seed, at most 4 new classes (95 %).\n" in text
     )
 
 

@@ -56,7 +56,7 @@ def test_a_driver_that_fails_in_every_execution_was_not_tested(tmp_path):
     run.add(execution(0, ("error",), "error/raised"))
     run.commit()
     run.close()
-    assert fuzz._checked(OK, failing, run.folder, Checks(), fuzz.Files(None, None, sys.stdout)) != OK
+    assert fuzz._checked(OK, failing, run.folder, Checks(), fuzz.Output()) != OK
 
 
 def test_an_execution_on_an_unknown_road_is_drawn(monkeypatch, tmp_path):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ import pytest
 
 from behavexplor.campaign.config import campaign_config, stored_config
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, main
+from behavexplor.commands.arguments import SEVERAL_TIMES
 from behavexplor.commands.check import result
 from behavexplor.commands.overview import COMMANDS
 from behavexplor.envs.making import environment_id
@@ -49,13 +51,51 @@ def test_compare_leaves_confirmation_out_as_fuzz_does(tmp_path, monkeypatch, cap
     assert not stored_config(tmp_path / "out" / "second").says.confirm
 
 
-@pytest.mark.parametrize("command", [["check", "suite"], ["evaluate"], ["fuzz"], ["compare", "idm", "idm"]])
-def test_files_are_looked_at_before_the_work(tmp_path, monkeypatch, capsys, command):
+JUDGING = [["check", "suite"], ["evaluate", "--below", "0.1"], ["fuzz"], ["compare", "idm", "idm", "--margin", "0.1"]]
+
+
+@pytest.mark.parametrize("flag", ["--json", "--junit"])
+@pytest.mark.parametrize("command", JUDGING)
+def test_files_are_looked_at_before_the_work(tmp_path, monkeypatch, capsys, command, flag):
     monkeypatch.setattr(Suite, "read", lambda _: Suite(env="lane-change", driver="idm"))
-    for path, said in ((tmp_path, "is a folder: name a file"), (tmp_path / "no" / "x", f"no folder {tmp_path / 'no'}")):
-        assert main([*command, "--json", str(path)]) == BAD_INPUT
+    nowhere = [
+        (tmp_path, "is a folder: name a file"),
+        (tmp_path / "no" / "x", f"no folder {tmp_path / 'no'}"),
+        (tmp_path / ("x" * 250), "File name too long"),  # with what is added until the file is complete
+        (Path("/proc/x"), "/proc/x cannot be written"),  # where even root creates no files
+    ]
+    for path, said in nowhere:
+        assert main([*command, flag, str(path)]) == BAD_INPUT
         assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", JUDGING)
+def test_test_cases_have_the_time_that_is_known_and_the_file_of_their_scenario(tmp_path, finished, command, capsys):
+    flags = ["--workers", "0", "--quiet", "--junit", str(tmp_path / "x.xml")]
+    if command[0] == "check":
+        assert main(["suite", str(finished), "--out", str(tmp_path / "suite"), "--workers", "0"]) == OK
+        command = ["check", str(tmp_path / "suite")]
+    elif command[0] == "fuzz":
+        command = ["fuzz", "--resume", str(finished)]
+    else:
+        command = [*command, "--env", "lane-change", "--scenarios", "2"]
+    if command[0] == "compare":
+        command += ["--out", str(tmp_path / "two")]
+    main([*command, *flags])
+    suite = ET.parse(tmp_path / "x.xml").getroot().find("testsuite")
+    cases = suite.findall("testcase")
+    times = {case.get("time") for case in cases}
+    assert float(suite.get("time")) > 0.0
+    assert times == ({suite.get("time")} if len(cases) == 1 else {None})
+    files = [case.get("file") for case in cases]
+    assert all(Path(file).is_file() for file in files) if command[0] in ("check", "fuzz") else set(files) == {None}
+
+
+@pytest.mark.parametrize("command", [["evaluate"], ["compare", "idm", "idm"]])
+def test_a_verdict_needs_a_threshold(command, tmp_path, capsys):
+    assert main([*command, "--junit", str(tmp_path / "x.xml")]) == BAD_INPUT
+    assert "give one with --" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")
@@ -160,6 +200,53 @@ def test_old_flags_name_the_new_ones_and_unknown_commands_the_nearest(capsys):
     assert "--summary is called --json now" in capsys.readouterr().err
     assert main(["fuz"]) == BAD_INPUT
     assert "did you mean 'fuzz'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("fuzz --seed abc", "--seed abc must be a whole number"),
+        ("fuzz --workers=1.5", "--workers 1.5 must be a whole number"),
+        ("fuzz --fail-above much", "--fail-above much must be a number, such as 0.05"),
+        ("compare a b --scenarios 1e3", "--scenarios 1e3 must be a whole number"),
+        ("replay run last", "ID last must be a whole number"),
+        ("minimize run 1 x", "x must be a whole number"),
+        ("fuzz --traffic dense", "--traffic dense must be one of default, wide"),
+        ("check s --activation step", "--activation step must be one of elu, gelu, identity"),
+        ("fuzz --env-config none.yaml", "none.yaml cannot be read"),
+        ("fuzz --seed 1 --seed 2", "--seed is given 2 times: give it once"),
+        ("fuzz --env=S1 --method uniform --env S2", "--env is given 2 times"),
+        ("fuzz --confirm --no-confirm", "--confirm is given 2 times"),
+    ],
+)
+def test_a_wrong_value_and_a_second_one_are_said_in_a_sentence(arguments, said, capsys):
+    assert main(arguments.split()) == BAD_INPUT
+    told = capsys.readouterr().err
+    assert said in told
+    assert len(told.splitlines()) == 1
+
+
+def test_flags_that_are_lists_are_given_several_times(capsys):
+    several = [word for flag in sorted(SEVERAL_TIMES) for word in (flag, "none.a:b", flag, "none.c:d")]
+    assert main(["fuzz", "--env", "nowhere", *several]) == BAD_INPUT
+    assert "Unknown environment 'nowhere'" in capsys.readouterr().err
+
+
+def test_what_tyro_says_of_other_mistakes_stays(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["fuzz", "--bugdet", "3"])
+    assert ended.value.code == BAD_INPUT
+    assert "--budget N|TIME" in capsys.readouterr().err
+
+
+def test_the_flags_of_fuzz_are_in_groups(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main(["fuzz", "--help"])
+    words = [word for line in capsys.readouterr().out.splitlines() for word in line.split() if word.isascii()]
+    found = [word for word, after in pairwise(words) if after == "options" or word[:2] == "--"]
+    order = ["--config", "--cluster", "driver", "--env", "--ads", "search", "--method", "check", "output", "--junit"]
+    assert [word for word in dict.fromkeys(found) if word in order] == order
 
 
 def test_the_overview_has_every_command_in_a_line(capsys):

@@ -57,8 +57,8 @@ def run(tmp_path_factory):
         "minimize RUN --workers 0",
         "replay RUN FIRST --out OUT/pictures",
         "report RUN --out OUT/page.html",
-        "export RUN --out OUT/scenes",
-        "suite RUN --out OUT/suite --workers 0",
+        "export RUN --out OUT/scenes && import OUT/scenes/FIRST.xosc --ads constant:FASTER",
+        "suite RUN --out OUT/suite --workers 0 && check OUT/suite --workers 0",
         "evaluate --env roundabout-v0 --ads constant:FASTER --scenarios 30 --workers 0",
         "evaluate --env highway-fast-v0 --ads constant:FASTER --scenarios 30 --workers 0 --below 0.01",
         "compare constant:FASTER careful --env roundabout-v0 --scenarios 30 --workers 0 --out OUT/two",
@@ -66,15 +66,20 @@ def run(tmp_path_factory):
         "evaluate --env lane-change --ads idm --scenarios 30 --workers 0",
         "inspect docs/data/policies/roundabout.zip",
         "envs",
+        "bench quick --dry-run",
+        "bench quick --jobs 1 --out OUT/quick",
+        "train --env lane-follow --steps 128 --envs 2 --out OUT/policy && zip OUT/policy/policy.npz --out OUT/it.zip",
+        "retrain docs/data/policies/merge.zip --rounds 1 --steps 128 --budget 2 --validation 2 --out OUT/better",
+        "demo --no-browser --budget 2 --steps 1024 --out OUT/demo",
     ],
 )
 def test_results_fit(command, columns, run, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(columns))
     monkeypatch.setenv("BEHAVEXPLOR_PROGRAM", "behavexplor")
-    first = next(iter(sorted(int(file.stem) for file in (run / "failures").glob("*.json"))))
-    words = {"RUN": str(run), "FIRST": str(first)}
-    arguments = [words.get(word, word.replace("OUT", str(tmp_path))) for word in command.split()]
-    main(arguments)
+    first = min(int(file.stem) for file in (run / "failures").glob("*.json"))
+    words = command.replace("FIRST.xosc", f"{first:06}.xosc").replace("FIRST", str(first)).replace("OUT", str(tmp_path))
+    for one in words.split(" && "):
+        main([str(run) if word == "RUN" else word for word in one.split()])
     printed = capsys.readouterr()
     assert printed.out
     assert not too_wide(printed.out.replace(str(run), "RUN").replace(str(tmp_path), "OUT"), columns)

@@ -1,7 +1,7 @@
 """Values of dataclasses: what is out of range, of a wrong type or unknown is named in one sentence."""
 
 import math
-from dataclasses import replace
+from dataclasses import make_dataclass, replace
 from typing import Annotated
 
 import pytest
@@ -68,3 +68,8 @@ def test_a_population_whose_comparison_would_never_end_is_refused(options):
     assert options(population=1000).population == 1000
     with pytest.raises(InputError, match=r"population: must be a number from \d to 1000, got 20000"):
         options(population=20_000)
+
+
+def test_a_key_where_there_are_none_is_named():
+    with pytest.raises(InputError, match="Unknown key of the options of uniform 'x': there are none"):
+        checked(make_dataclass("Options", []), {"x": 1}, "options of uniform")

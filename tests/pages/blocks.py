@@ -77,4 +77,8 @@ def arguments_of(command: str) -> list[str] | None:
     if found is None:
         return None
     name, *rest = shlex.split(found[1])
-    return [name, *rest, *SMALL.get(name, "").split()]
+    small = SMALL.get(name, "").split()
+    flags = {word for word in small if word.startswith("--")}
+    before = ["", *rest]  # a flag is given once; all that are replaced have values, but --unconfined
+    kept = [word for i, word in enumerate(rest) if word not in flags and before[i] not in flags - {"--unconfined"}]
+    return [name, *kept, *small]

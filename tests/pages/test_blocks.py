@@ -270,4 +270,4 @@ def test_counts_are_lowered():
     assert lowered("find_failures(model, budget=300).learn(1_000_000)") == "find_failures(model, budget=16).learn(16)"
     block = Block("page", 1, "sh", "./run fuzz --budget 900  # long\n\n")
     assert block.commands == ["./run fuzz --budget 900"]
-    assert arguments_of(block.commands[0])[3:5] == ["--budget", "16"]
+    assert arguments_of(block.commands[0])[1:3] == ["--budget", "16"]

@@ -11,7 +11,7 @@ from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import judge
 from behavexplor.triage import closed_loop
 from behavexplor.triage.blame import blame
-from behavexplor.triage.closed_loop import BY_CHANCE, CONSTANT, ScriptedDriver, drive_again, find_driver
+from behavexplor.triage.closed_loop import CONSTANT, RANDOM, ScriptedDriver, drive_again, find_driver
 from behavexplor.triage.findings import witness_from, witness_values
 from tests.envs.highway import strange
 
@@ -28,7 +28,7 @@ def test_a_driver_that_does_not_crash_is_named(merging):
     driver, tried, found = find_driver(scenario, np.random.default_rng(0))
     assert found == "preventable"
     assert driver.name == "careful"
-    assert tried == 1 + len(CONSTANT) + BY_CHANCE
+    assert tried == 1 + len(CONSTANT) + RANDOM
     careful = Simulation("merge-v0", "careful")
     assert careful.run(replace(scenario, setup=careful.logical.setup)).end != "collision"
     verdict = blame(merging, scenario, trace, np.random.default_rng(0))
@@ -48,7 +48,7 @@ def driven_by_others(monkeypatch, traces):
     assert not waits.signals["arrived"].any()
     assert not judge(goes).failed
     monkeypatch.setattr(
-        closed_loop, "_driven", lambda *_: [*traces(waits, goes), *[waits] * (len(CONSTANT) + BY_CHANCE - 1)]
+        closed_loop, "_driven", lambda *_: [*traces(waits, goes), *[waits] * (len(CONSTANT) + RANDOM - 1)]
     )
     driver, _, found = find_driver(scenario, np.random.default_rng(0))
     return found if driver is None else driver.name

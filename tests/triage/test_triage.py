@@ -194,9 +194,9 @@ def test_the_report_counts_classes_and_weaknesses():
     weaknesses = {"R1-1": WeaknessRecord(Sighting(9, 0), Sighting(4, 1), Sighting(2, 2))}
     text = report(Triage("lane-follow", "rule", 10, few, weaknesses))
     lines, said = [line.split() for line in text.splitlines()], " ".join(text.split())
-    assert text.startswith("3 failures in 10 executions, in 2 classes; 1 did not reproduce")
-    assert "R1/b, first 2 fault: preventable cause: R1-1" in said
-    assert "R1/a, first 5 fault: npc rear end cause: R1-2" in said
+    assert text.startswith("3 failures in 10 executions, in 2 classes; 1 did not happen again")
+    assert "R1/b, first 2 fault: the ego's (preventable) cause: R1-1" in said
+    assert "R1/a, first 5 fault: another vehicle's (it hit the ego from behind) cause: R1-2" in said
     assert ["R1-1", "9", "0", "4", "1", "2", "2"] in lines
     assert "is right for 67% of 3 failures" in said
     assert "and 1.00 for classes" in said

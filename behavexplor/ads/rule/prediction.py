@@ -1,6 +1,7 @@
 """Prediction: the ways that an NPC may go, its possible positions on them, and where it is too far aside to matter."""
 
 import math
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -156,6 +157,14 @@ class LaneGraph(NamedTuple):
 
 def lane_graph(roadmap: RoadMap, path: Path) -> LaneGraph:
     """Make the lane graph of all routes, the ego's included: their lanes, and every distinct rest of a route."""
+    rows, tails, around, near = _lanes_of(roadmap)
+    rows = rows.copy()  # the spare lane is overwritten
+    return LaneGraph(lanes=rows, tails=tails, around=around, beside=beside_route(path, rows, near))
+
+
+@lru_cache(maxsize=4)  # triage makes many planners for one map
+def _lanes_of(roadmap: RoadMap) -> tuple[Floats, Ints, Floats, Bools]:
+    """Return what no path changes: `lanes`, `tails` and `around` of the graph, and which lanes come near the route."""
     routes, ego_route = (*roadmap.npc_routes, roadmap.ego_route), roadmap.ego_route
     lanes = tuple({lane.name: lane for route in routes for lane in route.lanes}.values())
     index = {lane.name: i for i, lane in enumerate(lanes)}
@@ -164,15 +173,12 @@ def lane_graph(roadmap: RoadMap, path: Path) -> LaneGraph:
     depth = max(map(len, tails))
     padded = [tail + (-1,) * (depth - len(tail)) for tail in tails]
     way = ego_route.polyline(0.0, ego_route.length)
-    near = NEAR + ego_route.lanes[0].width  # the ego may overtake in the next lane; straight roads have no more lanes
+    reach = NEAR + ego_route.lanes[0].width  # the ego may overtake in the next lane; straight roads have no more lanes
     lines = [lane.pose(np.linspace(0.0, lane.length, math.ceil(lane.length) + 1))[:, :2] for lane in lanes]
+    around = [[*line.min(axis=0), *line.max(axis=0)] for line in lines] + [[0.0] * 4]
+    near = [*(_distance(line, way) <= reach for line in lines), True]
     rows = np.vstack([lane_array(lanes), np.zeros(N_COLUMNS)])
-    return LaneGraph(
-        lanes=rows,
-        tails=np.array(padded, dtype=np.int64),
-        around=np.array([[*line.min(axis=0), *line.max(axis=0)] for line in lines] + [[0.0] * 4]),
-        beside=beside_route(path, rows, np.array([*(_distance(line, way) <= near for line in lines), True])),
-    )
+    return rows, np.array(padded, dtype=np.int64), np.array(around), np.array(near)
 
 
 def _distance(line: Floats, way: Floats) -> float:
