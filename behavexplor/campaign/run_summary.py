@@ -139,7 +139,7 @@ def by_class(records: Iterable[Record]) -> dict[str, list[Record]]:
 
 def of_others(count: int) -> str:
     """Return how many failures were another vehicle's fault, in words. Of the others, `triage` tells it."""
-    return f", {count} of them by another vehicle's fault" if count else ""
+    return f"; {count} of the failures by another vehicle's fault" if count else ""
 
 
 def snippet(run: Path | str, number: int | str) -> str:

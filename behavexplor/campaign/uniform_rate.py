@@ -86,5 +86,6 @@ def explained(method: str, rate: UniformRate | None) -> str:
         return f"The scenarios were drawn uniformly, so the driver's failure rate is {rate.words}."
     return (
         "The search chose these scenarios, so their share of failures is not the driver's rate. "
-        f"Of {rate.n} uniformly drawn ones, {rate.failed} failed, so the driver's failure rate is {rate.words}."
+        f"Of {rate.n} other scenarios, drawn uniformly, {rate.failed} failed, so the driver's failure rate is "
+        f"{rate.words}."
     )

@@ -203,8 +203,17 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     except OSError as error:
         raise InputError(f"The tables in {root} cannot be written: {error.strerror}") from None
     for table in first:
-        say("\n".join([text(replace(table, notes=())), "", *(hanging("", note) for note in table.notes), ""]))
+        notes = (hanging("", note) for note in table.notes)
+        say("\n\n".join([hanging("", table.title), *map(text, _by_scenario(table)), *notes]) + "\n")
     say(f"All tables: {root / 'tables.txt'}")
+
+
+def _by_scenario(table: Table) -> list[Table]:
+    """Return a table for each scenario, which is narrower: its name stands above it."""
+    columns = table.columns[1:]
+    names = dict.fromkeys(str(row[0]) for row in table.rows)
+    rows = {name: tuple(row[1:] for row in table.rows if row[0] == name) for name in names}
+    return [Table(table.name, name, columns, own, (len(own),)) for name, own in rows.items()]
 
 
 def _files(table: Table) -> dict[str, str]:

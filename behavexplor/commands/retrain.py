@@ -128,7 +128,7 @@ def _words(one: Round) -> str:
 
 def _table(rounds: list[Round]) -> str:
     """Return the results of all rounds. Fixed and broken are counted against the policy as it was given."""
-    columns = ("round", "decisions", "at fault", "fixed", "broken", "passed", "found", "pool")
+    columns = ("round", "steps", "at fault", "fixed", "broken", "passed", "found", "pool")
     made = grid(*columns, numbers=columns)
     first = rounds[0]
     for one in rounds:

@@ -128,7 +128,7 @@ def test_a_missing_experiment_names_those_that_are_shipped():
     ("text", "message"),
     [
         ("methods: {A: {method: unifrom}}", "did you mean 'uniform'?"),
-        ("methods: {A: {method: uniform, options: {x: 1}}}", "'x' is not known"),
+        ("methods: {A: {method: uniform, options: {x: 1}}}", "'x': there are none"),
         ("methods: {A: {method: uniform}}\nads: [rules]", "did you mean 'rule'?"),
         ("methods: {A: {method: uniform}}\nenvs: [lane-chnge]", "did you mean 'lane-change'?"),
         ("{{", "is not a YAML file"),

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 from behavexplor.campaign import opening
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
-from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.execution.start import start_executor
 
 
@@ -16,7 +15,7 @@ def test_a_road_that_an_interruption_has_prevented_is_written_on_resuming(tmp_pa
     made = {
         "start_executor": SimpleNamespace(runs_here=True, submit=lambda *_: road, shutdown=lambda **_: None),
         "check_ads": [],
-        "logical_of_target": object.__new__(DrawnLogicalScenario),
+        "logical_of_target": SimpleNamespace(name="highway-fast-v0", has_original=True, to_json=lambda: ""),
         "search_method": None,
     }
     for name, value in made.items():

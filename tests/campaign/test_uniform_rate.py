@@ -48,7 +48,8 @@ def test_the_summary_and_the_page_say_which_number_is_the_drivers(tmp_path, caps
     assert main([*FUZZ, "--budget", "24", "--out", str(tmp_path / "run"), "--quiet", "--json", str(file)]) == OK
     rate = json.loads(file.read_text())["uniform"]
     said = (
-        f"Of 6 uniformly drawn ones, {rate['failed']} failed, so the driver's failure rate is {rate['rate']:.1%} (95%"
+        f"Of 6 other scenarios, drawn uniformly, {rate['failed']} failed, so the driver's failure rate is "
+        f"{rate['rate']:.1%} (95%"
     )
     assert said in " ".join(capsys.readouterr().out.split())
     assert rate["low"] <= rate["rate"] <= rate["high"]

@@ -17,7 +17,7 @@ RUNNING = ["--workers", "0", "--quiet"]
 def too_wide(text, columns):
     """The lines that do not fit. What is copied stands on lines of its own: commands, paths, digests, Python."""
     copied = re.compile(
-        r" *(behavexplor |ADS=NAME |All results are in |[A-Z][^:]*: (RUN|OUT)/|sha256:|env = |observation, )"
+        r" *(\$ |behavexplor |ADS=NAME |All results are in |[A-Z][^:]*: (RUN|OUT)/|sha256:|env = |observation, )"
     )
     shown = [line for line in text.splitlines() if not copied.match(line)]
     return [line for line in shown if len(line) > columns or "\N{HORIZONTAL ELLIPSIS}" in line]
