@@ -27,6 +27,13 @@ def closest(network, likely, x, y, heading):
 
 
 @kernel_in_place
+def closest_of_many(network, likely, points, found):
+    for k in range(len(points)):
+        lane, station, offset = closest_lane(network, likely[k], points[k, 0], points[k, 1], points[k, 2])
+        found[k, 0], found[k, 1], found[k, 2] = lane, station, offset
+
+
+@kernel_in_place
 def bounds(network, x, y, limit, margin):
     return is_farther(network.lanes[0], x, y, limit), may_be_on_lane(network.lanes[0], x, y, margin)
 
@@ -71,6 +78,29 @@ def test_the_closest_lane_is_highway_env_s_wherever_the_search_begins(env_id):
         assert distances[0] == pytest.approx(distances[1], abs=1e-9)
         found.add(index)
     assert len(found) > len(indexes) / 2 - 1
+
+
+@pytest.mark.parametrize(
+    "env_id",
+    ["merge", "merge-generic", "roundabout", "two-way", "intersection", "exit", "u-turn", "highway", "racetrack"],
+)
+def test_lanes_that_are_not_near_the_likely_one_are_never_the_closest(env_id):
+    env, rng, count = make(f"{env_id}-v0"), np.random.default_rng(0), 30_000
+    network, lanes = world_of(env).network, list(env.road.network.lanes_dict().values())
+    likely = rng.integers(len(lanes), size=count)
+    near = rng.integers(len(lanes), size=(count, 2))  # the place is on the likely lane, or on another one
+    points = np.empty((count, 3))
+    for k, (own, other) in enumerate(near):
+        lane = lanes[likely[k] if own % 2 else other]
+        station = rng.uniform(-5, lane.length + 5) if own % 3 else rng.choice([0.0, lane.length]) + rng.normal(0, 3)
+        points[k] = *lane.position(station, rng.normal(0, 2)), rng.uniform(-4, 4)
+    every = network.lanes.copy()
+    every["first_near"], every["n_near"] = 0, len(lanes)
+    found, expected = np.empty((2, count, 3))
+    closest_of_many(network, likely, points, found)
+    closest_of_many(network._replace(lanes=every), likely, points, expected)
+    assert np.array_equal(found, expected)
+    assert network.lanes["n_near"].sum() <= len(lanes) * (len(lanes) - 1)
 
 
 phases = st.floats(-7, 7)
