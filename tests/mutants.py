@@ -98,7 +98,7 @@ def other_constants(node):
 
 
 def is_type(node):
-    """Whether `X | None` is meant, and not a bitwise operator."""
+    """Return whether the expression is a type such as `X | None`, not a bitwise operation."""
     sides = (node.left, node.right)
     return isinstance(node.op, ast.BitOr) and any(isinstance(one, ast.Constant) and one.value is None for one in sides)
 

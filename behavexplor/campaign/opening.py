@@ -120,7 +120,8 @@ def _foresees(config: CampaignConfig) -> bool:
 
 
 def _recipe(config: CampaignConfig) -> Recipe:
-    if getattr(load_method(config.method), "foreseen", None) == sys.maxsize:  # nobody waits for a single result
+    # no candidate depends on a result, so results may arrive in groups
+    if getattr(load_method(config.method), "foreseen", None) == sys.maxsize:
         return replace(evaluator_recipe(config.target), together=TOGETHER)
     return evaluator_recipe(config.target, LOCK_STEP if _foresees(config) else config.batch)
 

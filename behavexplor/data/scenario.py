@@ -27,7 +27,7 @@ class Scenario(Protocol):
 
     @property
     def has_original(self) -> bool:
-        """Whether highway-env itself can also run the scenario, because it belongs to one of its environments."""
+        """Whether the scenario belongs to one of highway-env's environments, so that highway-env itself can run it."""
         ...
 
     @property

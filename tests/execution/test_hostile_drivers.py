@@ -91,7 +91,7 @@ class Lying(Driver):
 
 
 class Silent(Lying):
-    """Sends messages without answers, which would put off the end of the time limit for ever."""
+    """Sends messages without answers, which would put off the time limit without end."""
 
 
 class Ready(Lying):
@@ -99,7 +99,7 @@ class Ready(Lying):
 
 
 class Suspect(Lying):
-    """Asks for its calls to be made again, for ever."""
+    """Asks again and again for its calls to be repeated."""
 
     answers = (SUSPECT,)
 
