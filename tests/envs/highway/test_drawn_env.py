@@ -13,6 +13,7 @@ from behavexplor.envs.making import environment_id, is_highway, make_env
 from behavexplor.errors import InputError
 from behavexplor.testing import check_env
 from tests.envs.highway import subclass
+from tests.envs.highway.comparison import many
 
 NAMES = ["highway-fast-v0", "merge-v0", "roundabout-v0", "intersection-v0", "exit-v0", "two-way-v0", "u-turn-v0"]
 NAMES += ["racetrack-v0", "parking-v0", "lane-keeping-v0"]
@@ -79,7 +80,7 @@ def test_an_episode_of_highway_env_is_recorded_and_played_to_the_last_bit(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SLOW)
 def test_a_hundred_episodes_are_recorded_and_played_to_the_last_bit(name):
-    check_replays(name, range(100))
+    check_replays(name, range(many(name, 100)))
 
 
 @pytest.mark.slow

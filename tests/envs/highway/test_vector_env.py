@@ -23,6 +23,7 @@ from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
 from behavexplor.envs.observation_types import FEATURES
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
+from tests.envs.highway.comparison import many
 from tests.envs.highway.environments import DoublyRewardedEnv, DriftingRoadEnv
 from tests.envs.highway.side_by_side import IDS, assert_equal, compare, compare_in_child
 
@@ -371,11 +372,12 @@ EPISODES = int(os.environ.get("EPISODES", "200"))  # of the slow comparison, by 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("env_id", IDS)
 def test_many_episodes_are_equal_to_the_last_bit(env_id, mode):
+    episodes = many(env_id, EPISODES // 2)
     (result,) = compare_in_child(
-        {"env_id": env_id, "mode": mode, "num_envs": 4, "decisions": 10**9, "episodes": EPISODES // 2}
+        {"env_id": env_id, "mode": mode, "num_envs": 4, "decisions": 10**9, "episodes": episodes}
     )
     assert_equal(result)
-    assert result.episodes >= EPISODES // 2
+    assert result.episodes >= episodes
 
 
 @pytest.mark.slow
@@ -386,9 +388,10 @@ def test_episodes_of_a_trained_policy_are_equal_to_the_last_bit(env_id, tmp_path
     env = make_vec_env(env_id, n_envs=16, seed=0, vec_env_cls=HighwayVecEnv)
     model = PPO("MlpPolicy", env, n_steps=64, batch_size=256, n_epochs=4, seed=0, device="cpu").learn(20_000)
     model.save(tmp_path / "policy.zip")
+    episodes = many(env_id, EPISODES // 4)
     (result,) = compare_in_child(
-        {"env_id": env_id, "num_envs": 4, "decisions": 10**9, "episodes": EPISODES // 4}
+        {"env_id": env_id, "num_envs": 4, "decisions": 10**9, "episodes": episodes}
         | {"policy": str(tmp_path / "policy.zip")}
     )
     assert_equal(result)
-    assert result.episodes >= EPISODES // 4
+    assert result.episodes >= episodes
