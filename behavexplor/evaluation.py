@@ -12,8 +12,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from behavexplor.ads.interface import ADS
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.errors import InputError

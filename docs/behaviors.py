@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from behavexplor.behavior.clusters import Labels
-from behavexplor.behavior.features import TIME_STEP
+from behavexplor.behavior.features import TIME_STEP, Labels
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario

@@ -23,7 +23,8 @@ LIMITS = {  # with room for what is to come
     "lines of code of the longest function": 45,
     "modules that define Floats": 1,
     "class names that stand twice": 0,
-    "files that one candidate runs through": 38,
+    "files that one candidate runs through": 32,
+    "places that ask for the kind of world": 10,
 }
 
 
@@ -79,6 +80,7 @@ def measures():
     floats = [one.name for one in everything if any("Floats" in stored(node) for node in one.tree.body)]
     twice = names_that_stand_twice(everything)
     path = files_of_a_candidate()
+    kinds = [f"{one.name}:{line}" for one in everything for line in questions_of_kind(one)]
     return {
         "modules": (len(modules), []),
         "lines": (sum(one.n_lines for one in everything), []),
@@ -89,6 +91,7 @@ def measures():
         "modules that define Floats": (len(floats), floats),
         "class names that stand twice": (len(twice), twice),
         "files that one candidate runs through": (len(path), path),
+        "places that ask for the kind of world": (len(kinds), kinds),
     }
 
 
@@ -105,15 +108,38 @@ def names_that_stand_twice(everything):
     return sorted(name for name, modules in places.items() if len(modules) > 1)
 
 
+def questions_of_kind(module):
+    """Lines that ask whether vehicles are scripted or highway-env's. What each kind itself refuses does not count."""
+    if module.name.startswith(("behavexplor.data.", "behavexplor.envs.")):
+        return []
+    return [node.lineno for node in ast.walk(module.tree) if asks_for_kind(node)]
+
+
+def asks_for_kind(node):
+    if isinstance(node, ast.Compare):
+        left, right = ast.unparse(node.left), ast.unparse(node.comparators[0])
+        return left.rpartition(".")[2] == "roadmap" and right == "None"
+    if not isinstance(node, ast.Call):
+        return False
+    function, kind = ast.unparse(node.func), ast.unparse(node.args[-1]) if node.args else ""
+    classes = ("Scripted", "DrawnScenario", "DrawnLogical", "DrawnEnv", "DrawnVector")
+    return function == "is_highway" or (function == "isinstance" and kind.startswith(classes))
+
+
 def files_of_a_candidate():
     """The files that run while one candidate is asked for, driven, judged and stored, kernels left out."""
     seen = set()
+
+    def note(frame, *_):
+        if "__name__" in frame.f_globals:  # the frame of a kernel has no module
+            seen.add(frame.f_code.co_filename)
+
     config = CampaignConfig(env="intersection-straight", ads="constant", method="uniform", budget="1")
     with tempfile.TemporaryDirectory() as folder:
         for name in ("compiled", "profiled"):
             with opened(config, Path(folder) / name, 0, resume=False) as ready:
                 if name == "profiled":
-                    sys.setprofile(lambda frame, *_: seen.add(frame.f_code.co_filename))
+                    sys.setprofile(note)
                 ready.campaign.run(lambda _: None)
                 sys.setprofile(None)
     return sorted(str(Path(name).relative_to(ROOT)) for name in seen if name.startswith(f"{ROOT}/"))

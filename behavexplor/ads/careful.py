@@ -10,10 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from behavexplor.ads.constant import with_meta_actions
 from behavexplor.ads.idm import ACCELERATION, BRAKING, EXPONENT, JAM_GAP, TIME_GAP
 from behavexplor.data.array_types import Bools, Floats, Ints
-from behavexplor.data.conventions import MANEUVERS
+from behavexplor.data.conventions import MANEUVERS, with_meta_actions
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_actions
 from behavexplor.data.array_types import Array, Bools, Floats, Ints
-from behavexplor.data.conventions import MANEUVERS
+from behavexplor.data.conventions import MANEUVERS, with_meta_actions
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
 
@@ -76,13 +76,6 @@ class ConstantManeuver:
         return np.full(count, self._index), state
 
 
-def with_meta_actions(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration of highway-env in which `ConstantManeuver` can drive, with the same target speeds."""
-    action = config["action"] if config["action"].get("type") == "DiscreteMetaAction" else {}
-    meta = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
-    return {**config, "action": {**action, **meta}}
-
-
 def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDriver | ConstantManeuver:
     """Make the driver of a variant.
 
@@ -94,18 +87,19 @@ def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDrive
     Raises:
         InputError: if the variant is neither one or two such numbers nor a meta-action, or is not possible there.
     """
-    if variant in MANEUVERS and roadmap is not None:
+    is_maneuver, is_theirs = variant in MANEUVERS, roadmap is None
+    if is_maneuver and not is_theirs:
         raise InputError(
             f"constant:{variant} drives in highway-env's own environments only: use an acceleration [m/s2] here, such "
             f"as constant:2"
         )
-    if variant in MANEUVERS:
-        return ConstantManeuver(variant)
-    if roadmap is None:
+    if is_theirs and not is_maneuver:
         raise InputError(
             "In an environment of highway-env, the constant driver repeats a meta-action, such as constant:SLOWER: "
             f"name one of {', '.join(MANEUVERS)}"
         )
+    if is_maneuver:
+        return ConstantManeuver(variant)
     number = r"[-+]?\d*\.?\d+"
     if not re.fullmatch(rf"{number}(,{number})?", variant or DEFAULT):
         raise InputError(

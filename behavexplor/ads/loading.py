@@ -22,14 +22,14 @@ from behavexplor.errors import InputError, described, missing_library, unknown_n
 
 SYSTEMS = MappingProxyType(
     {
-        "rule": "behavexplor.ads.rule:rule_planner",
+        "rule": "behavexplor.ads.rule.profiles:rule_planner",
         "learned": "behavexplor.ads.learned.shipped:learned_driver",
         "idm": "behavexplor.ads.idm:idm_driver",
         "constant": "behavexplor.ads.constant:constant_driver",
         "careful": "behavexplor.ads.careful:careful_driver",
     }
 )
-_ANYWHERE = ("constant", "careful")  # systems that need none of this package's roads
+_ON_ROUTES = ("rule", "learned", "idm")  # systems that follow a route on the roads of this package
 IN_MEMORY = "in-memory"  # in place of the module, in the name of a driver that existed in one process only
 DECLARED: Final = ("observation", "action", "policy_frequency", "simulation_frequency", "env_config")
 _BY_POSITION: Final = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -83,11 +83,8 @@ def load_ads(
     """
     check_name(name)
     system, _, variant = name.partition(":")
-    if roadmap is None and is_shipped(name) and system not in _ANYWHERE:
-        raise InputError(
-            f"The driving system {name!r} follows a route on the roads of this package: in an environment of "
-            f"highway-env, name a policy file, your own module:attribute, careful, or constant:ACTION"
-        )
+    if system in _ON_ROUTES or name.endswith(".npz"):
+        _own_roads(f"The driving system {name!r}", roadmap)
     if system in SYSTEMS:
         module_name, _, factory = SYSTEMS[system].partition(":")
         ads: ADS = getattr(import_module(module_name), factory)(roadmap, variant)
@@ -106,6 +103,16 @@ def load_ads(
         hint = " (modules are looked for in this folder and on PYTHONPATH)" if isinstance(error, ImportError) else ""
         raise InputError(f"The ADS {name!r} cannot be imported: {type(error).__name__}: {error}{hint}") from error
     return _made(name, found, roadmap)
+
+
+def _own_roads(driver: str, roadmap: RoadMap | None) -> RoadMap:
+    """Return the road map, or refuse a driver that follows a route on it where there is none."""
+    if roadmap is None:
+        raise InputError(
+            f"{driver} follows a route on the roads of this package: in an environment of highway-env, name a policy "
+            f"file, your own module:attribute, careful, or constant:ACTION"
+        )
+    return roadmap
 
 
 def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activation: Activation | None) -> ADS:
@@ -144,10 +151,9 @@ def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection
     from behavexplor.ads.sb3.dense_layers import trained_network  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.policy import load_network  # noqa: PLC0415
 
-    if roadmap is None:
-        raise InputError(f"{model} is a network of `train`, which follows a route on the roads of this package")
+    roads = _own_roads(f"{model}, a network of `train`,", roadmap)
     network = load_network(read_archive(model), trust)
-    return LearnedDriver(roadmap, trained_network(network, rule))
+    return LearnedDriver(roads, trained_network(network, rule))
 
 
 def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:

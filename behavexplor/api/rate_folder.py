@@ -18,8 +18,8 @@ from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import identity_of
 from behavexplor.campaign.store import Store
 from behavexplor.data.durable import folder_in, new_file, write_durably
-from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.road_shape import RoadShape
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import OF_EPISODES
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError

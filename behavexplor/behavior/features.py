@@ -5,12 +5,11 @@ so that the processor can treat several of them at once. In each window, all sum
 """
 
 import math
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.behavior.clusters import Clusters, Labels
 from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import project_on_polyline
 from behavexplor.data.trace import Trace
@@ -18,6 +17,7 @@ from behavexplor.jit import kernel, kernel_in_place, kernel_inner
 
 Tail = Literal["padded", "cut"]
 HeadingFrame = Literal["route", "world"]
+Labels = NDArray[np.uint8]  # an abstract trace: one abstract state (cluster) per window
 
 TIME_STEP: Final = 0.1  # step of the even grid [s]
 ATTRIBUTES: Final = (  # of a state; the paper leaves their number M open
@@ -107,6 +107,20 @@ def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padde
     merged = np.empty((_n_windows(columns, window), N_FEATURES))
     fill_statistics(columns, window, STILL, merged)
     return merged
+
+
+class Clusters(NamedTuple):
+    """Centers of clusters in scaled features. Scaling subtracts the mean of each feature, then divides by its scale."""
+
+    centers: Floats  # the centers, shape (K, features)
+    squares: Floats  # the squared length of each center, shape (K,)
+    mean: Floats  # the mean of each feature, shape (features,)
+    scale: Floats  # the scale of each feature, shape (features,)
+
+    @property
+    def unscaled_centers(self) -> Floats:
+        """The centers in features that are not scaled."""
+        return self.centers * self.scale + self.mean
 
 
 def nearest_clusters(states: NDArray[np.floating], window: int, tail: Tail, clusters: Clusters) -> Labels:

@@ -21,13 +21,12 @@ import numpy as np
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.confirmation import unconfirmed
-from behavexplor.campaign.judges import Judges
-from behavexplor.campaign.judgment import Judgment, ads_failure, confirmed, judgment
+from behavexplor.campaign.judgment import Judges, Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
 from behavexplor.campaign.record import ENCODED, ERROR, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.campaign.uniform_rate import MOST, SHARE, UniformRate
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE

@@ -12,19 +12,18 @@ from types import FrameType
 import numpy as np
 
 from behavexplor.ads.interface import ADS
-from behavexplor.behavior.clusters import k_means
-from behavexplor.behavior.miner import NoveltyArchive
+from behavexplor.behavior.miner import NoveltyArchive, k_means
 from behavexplor.campaign.campaign import TOGETHER, Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, point_to_latest, stored_config
-from behavexplor.campaign.judges import FRAMES, LEAST, Judges, pass_by
+from behavexplor.campaign.judgment import FRAMES, LEAST, Judges, pass_by
 from behavexplor.campaign.progress import Stage
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.same_driver import check_identity, identity_of
 from behavexplor.campaign.store import Store, check_free
 from behavexplor.data.durable import write_durably
-from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.motion_bytes import unpack_motion
 from behavexplor.data.road_shape import ROAD_FILE
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.trace import RESOLUTION
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe

@@ -25,9 +25,9 @@ from typing import Any, Final, TextIO
 import tyro
 
 from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV
-from behavexplor.commands.arguments import bound
-from behavexplor.commands.overview import (
+from behavexplor.commands.arguments import (
     COMMANDS,
+    bound,
     changed_output,
     overview,
     with_joined_lines,

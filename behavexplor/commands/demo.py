@@ -9,10 +9,8 @@ from typing import Annotated
 import tyro
 
 from behavexplor.campaign.config import stamped_folder
-from behavexplor.commands import OK, program
+from behavexplor.commands import OK, main, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.fuzz import Checks, How, Output, fuzz
-from behavexplor.commands.report import report
 from behavexplor.commands.wording import say
 from behavexplor.data.durable import folder_in
 from behavexplor.errors import InputError, missing_library
@@ -51,18 +49,17 @@ def demo(
     with Meter(sys.stderr, steps, "steps", quiet=False) as meter:
         model = train_small_policy(folder, meter.show, steps)
     run = folder / "run"
-    _say("fuzz", "--ads", model, "--budget", budget, "--out", run)
-    search = {"budget": budget}
-    code = fuzz(how=How(out=run), driver={"ads": str(model)}, search=search, checks=Checks(), output=Output())
+    code = _run("fuzz", "--ads", model, "--budget", budget, "--out", run)
     if code != OK:
         return code
-    _say("report", run)
-    report((run,))
+    _run("report", run)
     if browser:
         webbrowser.open((run / PAGE).resolve().as_uri())
     return OK
 
 
-def _say(*words: object) -> None:
-    """Print a command as the user would type it."""
-    say(f"\n$ {program()} {shlex.join(map(str, words))}", flush=True)
+def _run(*words: object) -> int:
+    """Print a command as the user would type it, run it, and return its exit code."""
+    arguments = [str(word) for word in words]
+    say(f"\n$ {program()} {shlex.join(arguments)}", flush=True)
+    return main(arguments)

@@ -23,11 +23,11 @@ from behavexplor.campaign.config import CONFIG, CampaignConfig, campaign_config
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
-from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.rates import rates_table
 from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DEFAULT
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import ARRIVED
 from behavexplor.errors import InputError, sentence, unknown_name
@@ -130,7 +130,7 @@ def _say_rates(
 ) -> None:
     """Print what was found, and write the card."""
     own = next(iter(found.values()))
-    say(table(config.env, found), file=output)
+    say(rates_table(config.env, found), file=output)
     if DRAWN in found:
         say(hanging("", _gap(own, found[DRAWN])), file=output)
     if own.counts.get(ERROR):
@@ -273,46 +273,3 @@ def _beside(target: Target, logical: LogicalScenario, *, draws: bool, controls: 
 def _say(line: str, *, quiet: bool) -> None:
     if not quiet:
         say(line, file=sys.stderr)
-
-
-def _is_said(outcome: str, evaluations: Mapping[str, Evaluation]) -> bool:
-    """Return whether another row says the same of all drivers: missed destinations, or collisions of unknown fault."""
-    collision, _, destination = (spec.name for spec in SPECS)
-    rows = [(found.n, found.counts.get(outcome, 0), found.counts) for found in evaluations.values()]
-    if outcome == destination:
-        return all(count + counts.get(ARRIVED, 0) == n for n, count, counts in rows)
-    return outcome == f"{collision}: other" and all(count == counts.get(collision, 0) for _, count, counts in rows)
-
-
-def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
-    """Return the rates of a driver in percent with their 95 % intervals, and those of what it is compared with.
-
-    Args:
-        env: the environment.
-        evaluations: the evaluations by name, that of the driver first.
-    """
-    (name, first), *others = evaluations.items()
-    rates = grid("", name, numbers=[name])
-    for outcome in _rows({name: first}):
-        low, high = first.interval(outcome)
-        interval = "" if first.decision else f" ({low:.1%} to {high:.1%})"
-        kind, _, fault = outcome.partition(": ")
-        rates.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, f"{first.rate(outcome):.1%}{interval}")
-    intervals = "the one interval that holds is below" if first.decision else "with 95 % intervals"
-    lines = [hanging("", f"{first.n} scenarios of {env}, {intervals}:"), plain_text(rates)]
-    if others:
-        shown = [outcome for outcome in _rows(dict(others)) if ": " not in outcome]
-        beside = grid("", *shown, numbers=shown)
-        for heading, found in others:
-            beside.add_row(heading, *(f"{found.rate(outcome):.1%}" for outcome in shown))
-        lines += [f"Beside it, in {others[0][1].n} scenarios:", plain_text(beside)]
-    return "\n".join(lines)
-
-
-def _rows(evaluations: Mapping[str, Evaluation]) -> list[str]:
-    """Return the outcomes that are shown of some evaluations, each kind of outcome together."""
-    outcomes = dict.fromkeys(
-        outcome for found in evaluations.values() for outcome in found.counts if not _is_said(outcome, evaluations)
-    )
-    kinds = list(dict.fromkeys(outcome.partition(": ")[0] for outcome in outcomes))
-    return sorted(outcomes, key=lambda outcome: (kinds.index(outcome.partition(": ")[0]), outcome))

@@ -1,12 +1,9 @@
 """`behavexplor export`: write executions as files that other tools can play."""
 
 import re
-from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import tyro
 
@@ -15,20 +12,14 @@ from behavexplor.campaign.provenance import ADS, DRIVING, Consent, accepted
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK
 from behavexplor.commands.flags import NewFolder, RunFolder, Trust
+from behavexplor.commands.roads import check_libraries, road_of
 from behavexplor.commands.wording import say
 from behavexplor.data.conventions import EPISODE_TIME
-from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.durable import folder_in
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.road_shape import RoadPlan, plan_of_map
-from behavexplor.data.scenario import Scenario
-from behavexplor.envs.making import is_highway, make_env, make_recorded
-from behavexplor.errors import InputError, missing_library
+from behavexplor.data.road_shape import RoadPlan
+from behavexplor.errors import InputError
 from behavexplor.exchange.scenes import SceneFile, movers_of, write_table
-from behavexplor.execution.simulation import logical_of
 from behavexplor.report.marks import outcome
-
-LIBRARIES = ("lxml", "scenariogeneration")  # of the extra `scenes`
 
 
 def export(
@@ -69,7 +60,7 @@ def export(
     try:
         chosen = tuple(dict.fromkeys(numbers)) or tuple(record.id for record in store.records() if record.failed)
         config = stored_config(run).says if format == "csv" else _accepted(run, trust)
-        if ego == "free" and is_highway(config.env):
+        if ego == "free" and any(store.execution(number).scenario.has_original for number in chosen):
             raise InputError(
                 f"The vehicles of {config.env} react to the ego, and a scene has only what they did with the recorded "
                 "one: --ego free is for the environments with scripted vehicles"
@@ -93,39 +84,6 @@ def export(
 def _accepted(run: Path, trust: tuple[str, ...]) -> CampaignConfig:
     """Return the configuration of a run whose environment may be made. Nothing is driven."""
     return accepted(stored_config(run), Consent(trust), DRIVING - {ADS})
-
-
-def check_libraries() -> None:
-    """Check that the libraries of the extra `scenes` are installed.
-
-    Raises:
-        InputError: if one of them is missing.
-    """
-    for library in LIBRARIES:
-        if find_spec(library) is None:
-            raise missing_library("The exchange of scenes", library, "scenes")
-
-
-@lru_cache(maxsize=1)
-def _highway_env(setup: Setup) -> Any:
-    """Return a highway-env environment, which takes longer to make than a scene to write."""
-    return make_recorded(setup)
-
-
-def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) -> tuple[RoadPlan, LogicalScenario]:
-    """Return the road of a scenario, and the scenarios of its environment.
-
-    Raises:
-        InputError: if the environment cannot be made, or has a road that cannot be exported.
-    """
-    if isinstance(scenario, DrawnScenario):
-        drawn = _highway_env(scenario.setup)
-        drawn.begin_blindly(scenario)
-        return drawn.road_plan(), drawn.logical
-    made = make_env(env, env_config)
-    logical = logical_of(made, env)
-    made.close()
-    return () if logical.roadmap is None else plan_of_map(logical.roadmap), logical
 
 
 _EARLY: Final = "; highway-env may declare it before the boxes touch, and then the time limit stops the scene"
@@ -167,7 +125,7 @@ class _Scenes:
             environment=self._config.env,
             env_config=(follows_script and self._config.env_config) or {},
             road_file=self._road_file(plan, execution.id),
-            movers=movers_of(scenario, trace, logical.roadmap, is_ego_free=self._is_ego_free),
+            movers=movers_of(scenario, trace, logical, is_ego_free=self._is_ego_free),
             is_ego_free=self._is_ego_free,
             destination=trace.destination,
             stops_there=follows_script,

@@ -10,17 +10,15 @@ import tyro
 
 from behavexplor.campaign.judgment import ads_failure, judgment
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.export import check_libraries, road_of
 from behavexplor.commands.flags import GivenActivation, Switch
 from behavexplor.commands.outputs import write_json
+from behavexplor.commands.roads import check_libraries, road_of
 from behavexplor.commands.wording import hanging, say
-from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import env_code
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
-from behavexplor.exchange.restoring import restored
-from behavexplor.exchange.scenes import SceneFile
+from behavexplor.exchange.scenes import SceneFile, restored
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import fewest_workers, start_executor

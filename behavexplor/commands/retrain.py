@@ -16,7 +16,7 @@ from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, Trust, check_unchanged, flag, settings
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.train import begin_training, progress_line, resumed_config
+from behavexplor.commands.trainings import begin_training, progress_line, resumed_config
 from behavexplor.commands.wording import hanging, say
 from behavexplor.errors import InputError, missing_library, sentence
 from behavexplor.repair.retraining_rounds import CONFIG, DivergedError, RetrainingConfig, Round, best

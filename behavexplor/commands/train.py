@@ -4,28 +4,25 @@ import shlex
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import yaml
 
-from behavexplor.campaign.config import RUNS, read_yaml
+from behavexplor.campaign.config import RUNS
 from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.evaluate import table
 from behavexplor.commands.flags import Switch, check_unchanged, flag
+from behavexplor.commands.rates import rates_table
+from behavexplor.commands.trainings import begin_training, progress_line, resumed_config
 from behavexplor.commands.wording import say
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.durable import write_durably
 from behavexplor.data.target import Target
-from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, missing_library
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.simulation import logical_scenario
 
 if TYPE_CHECKING:
-    from behavexplor.repair.retraining_rounds import RetrainingConfig
-    from behavexplor.training import Learned, TrainingConfig
-
-_Config = TypeVar("_Config")
+    from behavexplor.training import TrainingConfig
 
 CARD = "policy.yaml"  # file beside the network
 EVALUATED = 1000  # number of scenarios in the final evaluation
@@ -79,45 +76,10 @@ def train(
         say(f"Interrupted; resume with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)
         return INTERRUPTED
     write_durably(folder / CARD, _card(config, found))
-    say(table(config.env, {network.name: found}))
+    say(rates_table(config.env, {network.name: found}))
     name = shlex.quote(str(network))
     say(f"The policy is in {name}\nSearch for its failures:\n{program()} fuzz --env {config.env} --ads {name}")
     return OK
-
-
-def resumed_config(kind: type[_Config], file: Path, what: str) -> _Config:
-    """Return the configuration in the folder of a training that is resumed.
-
-    Raises:
-        InputError: if the folder has no such file, or the file cannot be used.
-    """
-    if not file.is_file():
-        raise InputError(f"{file.parent} is not the folder of a {what}: it has no {file.name}")
-    values = read_yaml(file)
-    if not values:
-        raise InputError(f"{file} is empty, so the configuration of the {what} is lost: restore it or start a new one")
-    return checked(kind, values, what)
-
-
-def begin_training(folder: Path, name: str, config: "TrainingConfig | RetrainingConfig") -> None:
-    """Create the folder of a training with its configuration.
-
-    Raises:
-        InputError: if the folder is not empty, or cannot be written.
-    """
-    try:
-        if any(folder_in(folder).iterdir()):
-            again = f"--resume {shlex.quote(str(folder))}"
-            raise InputError(f"{folder} is not empty: resume with {again}, or choose another --out")
-        write_durably(folder / name, config.to_yaml())
-    except OSError as error:
-        raise InputError(f"The folder {folder} cannot be written: {error.strerror}") from None
-
-
-def progress_line(learned: "Learned") -> str:
-    """Return the progress of a training in words."""
-    ends = ", ".join(f"{end} {share:.0%}" for end, share in sorted(learned.ends.items(), key=lambda end: -end[1]))
-    return f"reward {learned.reward:6.2f}, {ends}"
 
 
 def _card(config: "TrainingConfig", found: Evaluation) -> str:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 STANDING_SPEED: Final = 0.3  # vehicles slower than this stand [m/s]
 ARRIVAL_DISTANCE: Final = 1.0  # an ego whose center is within this distance of its destination has arrived [m]
@@ -39,3 +39,10 @@ def is_rear_end(ahead: float, turned: float, ego_length: float, ego_speed: float
 def wrapped(angle: float) -> float:
     """Return an angle in [-pi, pi] [rad]."""
     return math.remainder(angle, 2 * math.pi)
+
+
+def with_meta_actions(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration of highway-env whose actions are meta-actions, with the same target speeds."""
+    action = config["action"] if config["action"].get("type") == "DiscreteMetaAction" else {}
+    meta = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
+    return {**config, "action": {**action, **meta}}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
-from behavexplor.data.logical import Mutations, Noise, Part, Parts
+from behavexplor.data.scenario import Mutations, Noise, Part, Parts
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 
@@ -38,7 +38,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class DrawnLogicalScenario:
-    """The draws of a highway-env environment; see `behavexplor.data.logical.LogicalScenario`.
+    """The draws of a highway-env environment; see `behavexplor.data.scenario.LogicalScenario`.
 
     A draw that is not among `draws`, because it is rarely made, is made from the scenario's seed.
     """

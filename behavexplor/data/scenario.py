@@ -1,14 +1,20 @@
-"""Concrete scenarios, in which all values are fixed.
+"""Concrete scenarios, in which all values are fixed, and logical scenarios: the sets from which they are drawn.
 
-There are two kinds: scripted vehicles on one of this package's roads (`behavexplor.data.scripted`), and the random
-draws of a highway-env environment (`behavexplor.data.drawn_scenario`).
+There are two kinds of both: scripted vehicles on one of this package's roads (`behavexplor.data.scripted` and
+`scripted_logical`), and the random draws of a highway-env environment (`drawn_scenario` and `drawn_logical`).
 """
 
 from collections.abc import Hashable, Mapping
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, Protocol
 
+import numpy as np
+
+from behavexplor.data.array_types import Floats
 from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scripted import NPC, ScriptedScenario
+from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import parse_json
 
 
@@ -79,3 +85,237 @@ def parse_scenario(text: str) -> Scenario:
         InputError: if the text is too long or not JSON, or a field is wrong; the message names the field.
     """
     return read_scenario(parse_json(text, "a scenario"))
+
+
+MAX_KEEP_PROBABILITY: Final = 0.95  # with greater values, almost every draw would leave a scenario unchanged
+MIN_SIGMA: Final = 1e-6  # smaller noise would leave a scenario unchanged
+
+
+Value = float | str | None
+
+
+class Part(NamedTuple):
+    """A vehicle, or another part of a scene, as a list of values.
+
+    Attributes:
+        label: what stays as it is as long as the part is there, such as the route of a vehicle.
+        values: the values of the part; None stands for a plain value, such as the speed of the waypoint before, or the
+            median of a draw.
+    """
+
+    label: str
+    values: tuple[Value, ...]
+
+    @property
+    def free(self) -> int:
+        """Number of values that are not plain."""
+        return sum(value is not None for value in self.values)
+
+
+Parts = tuple[Part, ...]
+
+
+class Size(NamedTuple):
+    """The size of a scenario.
+
+    Attributes:
+        parts: number of vehicles, or of parts with a value that is not plain where parts cannot be removed.
+        values: number of values that are not plain.
+    """
+
+    parts: int
+    values: int
+
+
+class Mutations(NamedTuple):
+    """Names of the two mutations of a kind of scenario, which are the origins of mutants.
+
+    Attributes:
+        little: the mutation by noise.
+        much: the mutation by new draws.
+    """
+
+    little: str
+    much: str
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The size of a small mutation.
+
+    Attributes:
+        keep_probability: epsilon, the probability that a vehicle stays unchanged.
+        sigma_position: standard deviation of the noise on a scripted vehicle's positions [m].
+        sigma_speed: standard deviation of the noise on a scripted vehicle's speeds [m/s].
+        sigma_draw: standard deviation of the noise on a draw of a highway-env environment, as a share of its range.
+        point_keep_probability: probability that a waypoint, or a draw, of a chosen vehicle stays unchanged.
+    """
+
+    keep_probability: float
+    sigma_position: float
+    sigma_speed: float
+    sigma_draw: float
+    point_keep_probability: float = 0.0
+
+
+class Encoding(Protocol):
+    """An encoding of concrete scenarios as points of [0, 1]^n. Every point is a valid scenario.
+
+    A vector has one block of genes for each vehicle. Uniform genes give the distribution of the sampler.
+
+    Attributes:
+        n_blocks: number of blocks in a vector.
+        n_genes: number of genes in a block.
+    """
+
+    n_blocks: int
+    n_genes: int
+
+    @property
+    def size(self) -> int:
+        """Length n of a vector."""
+        ...
+
+    def decode(self, vector: Floats) -> Any:
+        """Return the scenario of a vector, shape (n,). Values beyond [0, 1] are clipped."""
+        ...
+
+    def encode(self, scenario: Any) -> Floats:
+        """Return the vector of a scenario, shape (n,). `decode` restores the scenario to six decimals."""
+        ...
+
+    def features(self, vectors: Floats) -> Floats:
+        """Return features for distances and regression of vectors, shape (k, n)."""
+        ...
+
+    def draw_gene(self, rng: np.random.Generator) -> int:
+        """Draw the index of one gene of a block, which a small change of one vehicle replaces."""
+        ...
+
+
+def draws(seed: int, number: int, *purpose: int) -> np.random.Generator:
+    """Return the random number generator of one candidate. It depends only on the arguments.
+
+    Args:
+        seed: seed of the campaign.
+        number: number of the candidate.
+        purpose: integers that make separate generators for the same candidate, one for each purpose.
+    """
+    return np.random.default_rng([seed, number, *purpose])
+
+
+class LogicalScenario(Protocol):
+    """A set of concrete scenarios. The scenarios that its methods take must be valid in it."""
+
+    @property
+    def name(self) -> str:
+        """Name of the functional scenario, or of the highway-env environment."""
+        ...
+
+    @property
+    def roadmap(self) -> RoadMap | None:
+        """The map; None for a highway-env environment, whose road is its own."""
+        ...
+
+    @property
+    def has_original(self) -> bool:
+        """Whether this is one of highway-env's environments, so that highway-env itself can also run the scenarios."""
+        ...
+
+    @property
+    def config(self) -> Mapping[str, Any]:
+        """The configuration of the environment, if the scenarios belong to one; else nothing."""
+        ...
+
+    @property
+    def mutations(self) -> Mutations:
+        """Names of the mutations."""
+        ...
+
+    @property
+    def encoding(self) -> Encoding:
+        """The encoding of scenarios as vectors.
+
+        Raises:
+            InputError: if there is nothing that could be varied.
+        """
+        ...
+
+    @property
+    def line_kinds(self) -> tuple[str, ...]:
+        """The kinds of the illegal lines in a trace, one for each line."""
+        ...
+
+    def to_json(self) -> str:
+        """Return the set as JSON if it depends on the driver; otherwise nothing, because its name says all."""
+        ...
+
+    def check(self, scenario: Any) -> None:
+        """Check that a scenario belongs to the set.
+
+        Raises:
+            InputError: if it does not; the message names the field that is wrong.
+        """
+        ...
+
+    def adopted(self, scenario: Any) -> Scenario:
+        """Return the scenario of another driver as one of this set, in which everything but the driver is the same.
+
+        Raises:
+            InputError: if there is none; the message names the difference.
+        """
+        ...
+
+    def sample(self, rng: np.random.Generator) -> Scenario:
+        """Draw a scenario."""
+        ...
+
+    def pass_over(self, rng: np.random.Generator) -> None:
+        """Take the random numbers of a scenario, as `sample` does."""
+        ...
+
+    def mutate_little(self, scenario: Any, rng: np.random.Generator, noise: Noise) -> Scenario:
+        """Return a mutant of a scenario by noise on some of its vehicles.
+
+        Raises:
+            InputError: if no mutant was found.
+        """
+        ...
+
+    def mutate_much(self, scenario: Any, rng: np.random.Generator, keep_probability: float) -> Scenario:
+        """Return a mutant of a scenario by new draws for some of its vehicles.
+
+        Raises:
+            InputError: if no mutant was found.
+        """
+        ...
+
+    def first_frame(self, scenario: Any, end: str) -> Trace:
+        """Return the trace of an episode that ended before any vehicle moved.
+
+        Args:
+            scenario: the scenario.
+            end: kind of end, one of `behavexplor.data.trace.ENDS`.
+        """
+        ...
+
+    def describe(self, scenario: Any) -> str:
+        """Return a short description of a scenario for people."""
+        ...
+
+    @property
+    def removable(self) -> bool:
+        """Whether a scenario is valid without some of its parts."""
+        ...
+
+    def parts(self, scenario: Any) -> Parts:
+        """Return the parts of a scenario, from which `with_parts` makes it again."""
+        ...
+
+    def with_parts(self, scenario: Any, parts: Parts) -> Scenario:
+        """Return a scenario with other parts.
+
+        Raises:
+            InputError: if such a scenario is not in the set.
+        """
+        ...

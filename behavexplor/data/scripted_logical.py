@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.data.logical import Mutations, Noise, Part, Parts, Value
-from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.data.scripted_ranges import ScriptedRanges, WaypointRange
+from behavexplor.data.scenario import Mutations, Noise, Part, Parts, Value
+from behavexplor.data.scripted import NPC, ScriptedRanges, ScriptedScenario, Waypoint, WaypointRange
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 
@@ -209,7 +208,7 @@ ROUTES: Final = "routes"
 
 
 class ScriptedLogicalScenario(ScriptedRanges):
-    """The parameters of a functional scenario and their ranges; see `behavexplor.data.logical.LogicalScenario`."""
+    """The parameters of a functional scenario and their ranges; see `behavexplor.data.scenario.LogicalScenario`."""
 
     @cached_property
     def encoding(self) -> ScriptedEncoding:

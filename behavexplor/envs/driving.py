@@ -113,7 +113,7 @@ class DrivingEnv(PlainSimulation):
     | policy_frequency | 10 | decisions [Hz] |
     | duration | 200 | time limit [s] |
     | reward | see above | weights to change |
-    | logical | {} | parameters of `behavexplor.data.scripted_ranges.ScriptedRanges` to change: `n_npcs`, ... |
+    | logical | {} | parameters of `behavexplor.data.scripted.ScriptedRanges` to change: `n_npcs`, ... |
 
     The other keys are highway-env's. Most of them concern rendering: `screen_width`, `screen_height`, `scaling`,
     `centering_position`, `real_time_rendering`, ... `render_mode` is None, "human" or "rgb_array".

@@ -15,9 +15,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from behavexplor.data.array_types import Array, Bools, Bytes
-from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.observations import mapped
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.envs.highway.highway_vector_env import vector_env
 from behavexplor.envs.source_gate import replaced_in
 from behavexplor.envs.vector_env import DrivingVectorEnv

@@ -11,8 +11,7 @@ from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import is_shipped
-from behavexplor.data.logical import draws
-from behavexplor.data.scenario import Scenario, parse_scenario
+from behavexplor.data.scenario import Scenario, draws, parse_scenario
 from behavexplor.data.target import OF_EPISODES, CheckedTarget, Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence

@@ -12,9 +12,8 @@ from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.observations import Observation, arrays_of, joined, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.execution.asking import is_function
 from behavexplor.execution.executor import ADSError
-from behavexplor.execution.rollout import rollout, rollout_all
+from behavexplor.execution.rollout import is_function, rollout, rollout_all
 from behavexplor.execution.simulation import FILE, MEMORY, MODULE, Simulation
 
 SCENARIOS: Final = 4

@@ -13,9 +13,8 @@ from behavexplor.ads.sb3.description import is_policy
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DECLARED, DEFAULT, Traffic
-from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import TRAFFIC_CLASS, traffic_code
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.target import Activation
 from behavexplor.data.trace import Trace
@@ -266,14 +265,9 @@ def brief_space(space: gymnasium.Space[Any]) -> str:
 
 
 def compile_kernels(env: str) -> None:
-    """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step.
-
-    Nothing is done for an environment of another package.
-    """
-    if is_highway(env):
-        _compile_engine(env)
-        return
+    """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step."""
     if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
+        _compile_engine(env)
         return
     simulation = Simulation(env, "constant")
     scenario = simulation.logical.sample(np.random.default_rng(0))
@@ -290,7 +284,7 @@ def compile_kernels(env: str) -> None:
 
 
 def _compile_engine(env: str) -> None:
-    """Compile the engine of highway-env environments, which is the same for all of them."""
+    """Compile the engine of highway-env's environments, which is the same for all of them, if this is one of them."""
     made = make_env(env, {})
     try:
         envs = make_vector_env(made, 1, {})

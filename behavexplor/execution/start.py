@@ -10,7 +10,7 @@ from typing import Any
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import check_name
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import LOGICAL, PREFLIGHT, evaluator_recipe, needs_confinement

@@ -21,9 +21,9 @@ from typing import Any, Final
 from threadpoolctl import threadpool_limits
 
 from behavexplor.errors import InputError, described
-from behavexplor.execution.asking import share_asking
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.messages import READY, RESULT, SUSPECT, Request, error_answer, packed, unpacked, with_key
+from behavexplor.execution.rollout import share_asking
 from behavexplor.execution.service import Batch, Recipe, Service
 from behavexplor.execution.worker_output import leave_terminal
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import distances_from_first
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError

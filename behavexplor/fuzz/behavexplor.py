@@ -10,9 +10,8 @@ import numpy as np
 from behavexplor.behavior.miner import NOVELTY_THRESHOLD, Behavior, BehaviorMiner, MinerOptions
 from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import point_box_distance
-from behavexplor.data.logical import MAX_KEEP_PROBABILITY, MIN_SIGMA, LogicalScenario, Noise
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import MAX_KEEP_PROBABILITY, MIN_SIGMA, LogicalScenario, Noise, Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import EPISODE_TIME, STANDING_SPEED, STANDSTILL_TIME
 from behavexplor.data.geometry import distances_from_first, distances_from_segments, point_segment_distances
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario, scripted
 from behavexplor.data.trace import Trace

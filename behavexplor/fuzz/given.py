@@ -5,8 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import Scenario, parse_scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario, parse_scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import validated

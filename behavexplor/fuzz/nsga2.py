@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from behavexplor.data.array_types import Floats
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import missing_library

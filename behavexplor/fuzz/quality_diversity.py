@@ -20,7 +20,7 @@ import numpy as np
 from behavexplor.behavior.features import state_matrix
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import STANDING_SPEED
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError, missing_library

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
 
-from behavexplor.data.logical import MAX_KEEP_PROBABILITY, MIN_SIGMA, LogicalScenario, Noise
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import MAX_KEEP_PROBABILITY, MIN_SIGMA, LogicalScenario, Noise, Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate

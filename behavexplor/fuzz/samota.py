@@ -14,7 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from behavexplor.data.array_types import Floats, Ints
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.search import INITIAL, MAX_POPULATION, Candidate

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.logical import draws as draws  # noqa: PLC0414 - it belongs to this interface
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario
+from behavexplor.data.scenario import draws as draws  # noqa: PLC0414 - it belongs to this interface
 from behavexplor.data.trace import Trace
 from behavexplor.judge.specs import Verdict
 

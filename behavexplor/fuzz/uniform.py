@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import validated
 from behavexplor.fuzz.search import Candidate

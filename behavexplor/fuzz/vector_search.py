@@ -4,8 +4,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from behavexplor.data.array_types import Floats
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.errors import InputError
 from behavexplor.fuzz.search import Candidate, draws
 from behavexplor.judge.specs import Verdict

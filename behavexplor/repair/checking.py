@@ -10,7 +10,7 @@ from typing import Any
 from behavexplor.campaign.identity import changes
 from behavexplor.campaign.provenance import ADS, JUDGED, Consent, agreed
 from behavexplor.campaign.same_driver import driver_digests
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import EXECUTE

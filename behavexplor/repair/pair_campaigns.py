@@ -15,8 +15,7 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.record import ERROR
 from behavexplor.campaign.store import Store
 from behavexplor.data.durable import folder_in, write_durably
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError

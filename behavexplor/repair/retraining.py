@@ -24,8 +24,7 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE
 from behavexplor.data.durable import folder_in, write_durably
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import Scenario, parse_scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError

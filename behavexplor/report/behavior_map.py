@@ -8,8 +8,7 @@ from typing import Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from behavexplor.behavior.clusters import Labels
-from behavexplor.behavior.features import ATTRIBUTES, STATISTICS, TIME_STEP
+from behavexplor.behavior.features import ATTRIBUTES, STATISTICS, TIME_STEP, Labels
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
 from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace

@@ -21,7 +21,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.judge.specs import SPECS
-from behavexplor.repair.pairs import Pairs
+from behavexplor.repair.pairs import Pairs, side_by_side
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, StagePart, chart, stage_parts
 from behavexplor.report.gallery import MAX_FRAMES, PASSED, Card, cards, minimal_name, replay_values
@@ -29,7 +29,6 @@ from behavexplor.report.marks import type_color
 from behavexplor.report.reading import ReportedRun
 from behavexplor.report.rendering import rendered
 from behavexplor.report.road_shapes import known_road, road_values
-from behavexplor.report.side_by_side import side_by_side
 from behavexplor.triage.findings import trace_path
 
 PAGE: Final = "report.html"
@@ -330,7 +329,8 @@ def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ())
     """
     if not 0 <= replays <= MOST_REPLAYS:
         raise InputError(f"The number of replays must lie between 0 and {MOST_REPLAYS}, not be {replays}")
-    several, found = len(runs) > 1, side_by_side(pairs, runs, replays) if pairs else None
+    words = [{finding.id: finding.words for finding in run.findings} for run in runs[:2]]
+    several, found = len(runs) > 1, side_by_side(pairs, words, replays) if pairs else None
     labels = _labels(runs, are_paired=bool(pairs))
     first = [found.shown if found and number <= 2 else () for number in range(1, len(runs) + 1)]
     sections = [section(i, *one) for i, one in enumerate(zip(runs, labels, repeat(replays), first), 1)]

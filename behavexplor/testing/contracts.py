@@ -11,9 +11,8 @@ from typing import Any, Final
 import gymnasium
 import numpy as np
 
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import Scenario, parse_scenario
-from behavexplor.data.scripted_logical import ScriptedLogicalScenario
+from behavexplor.data.scenario import LogicalScenario, Scenario, parse_scenario
+from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.making import make_env
 from behavexplor.errors import InputError
@@ -186,8 +185,9 @@ def check_spec(spec: Any, *, env: str = "intersection-straight", traces: int = T
 def _traces(env: str, count: int) -> Iterator[Trace]:
     logical = logical_scenario(env)
     generator = np.random.default_rng(0)
-    if isinstance(logical, ScriptedLogicalScenario):
-        yield from (synthetic_trace(logical.sample(generator), logical) for _ in range(count))
+    if not logical.has_original:
+        own = scripted(logical, "A synthetic trace")
+        yield from (synthetic_trace(own.sample(generator), own) for _ in range(count))
         return
     with closing(make_env(env, {})) as made:
         made.action_space.seed(0)

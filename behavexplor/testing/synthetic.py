@@ -6,7 +6,7 @@ from zlib import crc32
 import numpy as np
 
 from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import Trace
 

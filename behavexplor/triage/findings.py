@@ -18,8 +18,7 @@ from behavexplor.campaign.record import ERROR, Record
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.durable import write_durably
-from behavexplor.data.logical import Size
-from behavexplor.data.scenario import Scenario, read_scenario
+from behavexplor.data.scenario import Scenario, Size, read_scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked

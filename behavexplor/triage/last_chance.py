@@ -44,8 +44,8 @@ def last_chance(simulation: Simulation, scenario: Any, trace: Trace) -> LastChan
 @lru_cache(maxsize=1)  # making an environment takes longer than a search, and all failures of a run have the same
 def _branching(simulation: Simulation) -> "Branching | None":
     names = getattr(simulation.env, "meta_actions", ())
-    env = simulation.vector_env(len(names)) if names else None
-    return Branching(env, names) if isinstance(env, DrawnVectorEnv) else None
+    env: Any = simulation.vector_env(len(names)) if names else None
+    return None if env is None else Branching(env, names)
 
 
 class Branching:

@@ -14,8 +14,7 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import folder_in
-from behavexplor.data.logical import LogicalScenario, Parts
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import LogicalScenario, Parts, Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError

@@ -10,7 +10,7 @@ from itertools import combinations
 from math import comb
 from typing import Final, NamedTuple, Protocol
 
-from behavexplor.data.logical import Part, Parts, Size, Value
+from behavexplor.data.scenario import Part, Parts, Size, Value
 
 MOST_SUBSETS: Final = 200  # sets of that many parts are all tried at once; larger scenarios lose their parts one by one
 SMALL: Final = 2  # number of parts up to which all sets of parts are tried

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from behavexplor.behavior.clusters import AbstractTraces
+from behavexplor.behavior.miner import AbstractTraces
 
 LABELS = st.lists(st.integers(0, 3), max_size=40)
 

@@ -5,7 +5,7 @@ import pytest
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from behavexplor.behavior import clusters
+from behavexplor.behavior import miner as miner_module
 from behavexplor.behavior.features import N_FEATURES, NEGLIGIBLE
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions, StateFile
 from behavexplor.envs.functional import IntersectionStraightEnv
@@ -138,7 +138,7 @@ def test_fits_do_not_depend_on_the_number_of_threads(monkeypatch):
             return super().fit(rows)
 
     monkeypatch.setattr("sklearn.cluster.KMeans", Watched)
-    clusters._thread_pools.cache_clear()  # other tests have loaded further libraries, which K-means does not use
+    miner_module._thread_pools.cache_clear()  # other tests have loaded further libraries, which K-means does not use
     with threadpool_limits(2):
         miner_of(TRACES[:3])
     assert threads == {1}

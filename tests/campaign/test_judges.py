@@ -14,8 +14,7 @@ from behavexplor.behavior.features import state_matrix
 from behavexplor.campaign import opening
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.judges import Judges, judged
-from behavexplor.campaign.judgment import judgment
+from behavexplor.campaign.judgment import Judges, judged, judgment
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Store
 from behavexplor.data.trace import Trace

@@ -15,9 +15,8 @@ import pytest
 
 from behavexplor.campaign.config import campaign_config, stored_config
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, main
-from behavexplor.commands.arguments import SEVERAL_TIMES
+from behavexplor.commands.arguments import COMMANDS, SEVERAL_TIMES
 from behavexplor.commands.check import result
-from behavexplor.commands.overview import COMMANDS
 from behavexplor.envs.making import environment_id
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from behavexplor.commands import OK, main
-from behavexplor.commands.overview import COMMANDS
+from behavexplor.commands.arguments import COMMANDS
 
 WIDTHS = (80, 60)
 RUNNING = ["--workers", "0", "--quiet"]

@@ -6,7 +6,7 @@ from scipy.stats import kstest
 
 from behavexplor.data.drawn_logical import NORMAL, UNIFORM, Draw, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
-from behavexplor.data.logical import Noise
+from behavexplor.data.scenario import Noise
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
 

@@ -8,8 +8,7 @@ from hypothesis import given
 
 from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.geometry import box_corners, boxes_overlap
-from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.data.scripted_ranges import _MARGIN, _gap_across, _overlap, _Placed
+from behavexplor.data.scripted import _MARGIN, NPC, ScriptedScenario, Waypoint, _gap_across, _overlap, _Placed
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.strategies import scenarios

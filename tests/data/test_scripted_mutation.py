@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from behavexplor.data.logical import Noise
+from behavexplor.data.scenario import Noise
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_logical import shift_waypoints
 from behavexplor.envs.functional import IntersectionStraightEnv

@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import given
 
-from behavexplor.data.logical import Part
+from behavexplor.data.scenario import Part
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError

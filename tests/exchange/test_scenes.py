@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from lxml import etree
 
-import behavexplor.commands.export
+import behavexplor.commands.roads
 from behavexplor.commands import main
-from behavexplor.commands.export import road_of
+from behavexplor.commands.roads import road_of
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.road_shape import plan_of_map
@@ -21,9 +21,8 @@ from behavexplor.envs.making import is_highway, make_env
 from behavexplor.errors import InputError
 from behavexplor.exchange.opendrive import MAX_ERROR, write_road
 from behavexplor.exchange.openscenario import CARLA, STANDARD, write_scene
-from behavexplor.exchange.restoring import MAX_DEVIATION, restored
 from behavexplor.exchange.scene_reading import read_scene
-from behavexplor.exchange.scenes import COLUMNS, SceneFile, movers_of
+from behavexplor.exchange.scenes import COLUMNS, MAX_DEVIATION, SceneFile, movers_of, restored
 from behavexplor.execution.simulation import logical_scenario
 from tests.exchange.exported import difference, failures, fuzz, imported, repeated, schema_errors
 
@@ -111,7 +110,7 @@ def scene(tmp_path_factory):
 
 
 def write(path, scenario, trace, *, is_ego_free=False, as_routes=False, dialect=STANDARD):
-    movers = movers_of(scenario, trace, S1.roadmap, is_ego_free=is_ego_free)
+    movers = movers_of(scenario, trace, S1, is_ego_free=is_ego_free)
     made = SceneFile(
         "a test",
         "intersection-straight",
@@ -471,7 +470,7 @@ def test_other_files_are_refused(text, message, tmp_path, capsys):
 
 
 def test_a_missing_library_is_named(monkeypatch, campaign, tmp_path, capsys):
-    monkeypatch.setattr(behavexplor.commands.export, "find_spec", lambda name: None)
+    monkeypatch.setattr(behavexplor.commands.roads, "find_spec", lambda name: None)
     assert main(["export", str(campaign[0]), "--out", str(tmp_path)]) == 2
     assert "needs lxml: install the extra 'scenes'" in capsys.readouterr().err
 

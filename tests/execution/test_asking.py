@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
 
-from behavexplor.execution.asking import ask
 from behavexplor.execution.executor import ADSError
+from behavexplor.execution.rollout import ask
 
 SECOND_IS_UNUSED = np.array([True, False, True])
 

@@ -14,9 +14,9 @@ from types import SimpleNamespace
 import pytest
 
 from behavexplor.errors import InputError
-from behavexplor.execution.asking import ask
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.pool import WorkerDiedError, WorkerPool
+from behavexplor.execution.rollout import ask
 from behavexplor.execution.service import Recipe, Service
 from tests.drivers import Cruiser
 

@@ -12,7 +12,7 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
-from behavexplor.data.logical import Size
+from behavexplor.data.scenario import Size
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import ADSError

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from hypothesis import given
 from hypothesis import strategies as st
 
-from behavexplor.data.logical import Part, Size
+from behavexplor.data.scenario import Part, Size
 from behavexplor.triage.shrinking import shrink, size_of
 
 

@@ -2,6 +2,5 @@
 
 from behavexplor.ads.rule.parameters import Parameters
 from behavexplor.ads.rule.planner import RulePlanner
-from behavexplor.ads.rule.profiles import rule_planner
 
-__all__ = ["Parameters", "RulePlanner", "rule_planner"]
+__all__ = ["Parameters", "RulePlanner"]
