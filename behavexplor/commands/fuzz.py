@@ -232,7 +232,7 @@ def fuzz(
         for warning in ready.warnings:
             display.say(f"Warning: {warning}")
         code = _run(ready.campaign, ready.store, display, chosen.method, text)
-        if ready.campaign.progress.executions:
+        if ready.campaign.progress.executions and ready.store.lost is None:
             code = _checked(code, ready.campaign.progress, folder, checks, output)
         return code
 
@@ -281,6 +281,9 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
             failure = ended
     if code == OK and (lost := _confirm(campaign, display)):
         code, failure = EXECUTION_FAILED, lost
+    if store.lost is not None:
+        say(f"{program()}: {store.lost} was deleted or moved, and with it the results", file=sys.stderr)
+        return EXECUTION_FAILED
     progress = campaign.progress
     if 0 < progress.executions >= len(store):  # an interruption may come before all stored executions are counted
         say(campaign_summary(progress, store, program(), method, display.budget), file=text)

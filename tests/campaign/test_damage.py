@@ -284,10 +284,13 @@ def test_a_folder_that_cannot_be_written_can_be_read(tmp_path, whole):
     assert [path.name for path in here.iterdir()] == [path.name for path in whole.iterdir()]
 
 
-def test_a_folder_that_is_deleted_while_a_campaign_runs_is_named(tmp_path):
+@pytest.mark.parametrize("deleted", ["", DATABASE])
+def test_a_folder_that_is_deleted_while_a_campaign_runs_is_named(deleted, tmp_path):
     store = Store.create(tmp_path / "run", CAMPAIGN_CONFIG)
     store.add(execution(0, []))
-    shutil.rmtree(tmp_path / "run")
-    with pytest.raises(FileNotFoundError, match="was deleted"):
+    assert store.lost is None
+    (tmp_path / "run" / deleted).rename(tmp_path / "other")
+    with pytest.raises(FileNotFoundError, match="was deleted or moved") as raised:
         store.commit()
+    assert str(raised.value).startswith(f"{tmp_path / 'run' / deleted} ")
     store.close()
