@@ -5,7 +5,6 @@ import json
 import os
 import shlex
 import signal
-import sqlite3
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -275,8 +274,6 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
             campaign.drive_uniformly()
         except ExecutionError as error:
             code, failure = EXECUTION_FAILED, str(error)
-        except (sqlite3.Error, OSError) as error:
-            code, failure = EXECUTION_FAILED, f"The campaign can no longer write to disk: {error}"
         else:
             failure = ended
     if code == OK and (lost := _confirm(campaign, display)):
@@ -305,7 +302,7 @@ def _confirm(campaign: Campaign, display: Display) -> str | None:
     try:
         with display.meter(count, "failures") as meter:
             campaign.confirm(meter.show)
-    except (ExecutionError, OSError) as error:
+    except ExecutionError as error:
         return str(error)
     return None
 

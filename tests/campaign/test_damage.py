@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behavexplor.campaign.config import CONFIG, REVISION
+from behavexplor.campaign.campaign import ExecutionError
+from behavexplor.campaign.config import CONFIG, REVISION, CampaignConfig
 from behavexplor.campaign.database_file import LOCK
+from behavexplor.campaign.opening import opened
 from behavexplor.campaign.record import DATABASE, FAILURES, Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
@@ -294,3 +296,11 @@ def test_a_folder_that_is_deleted_while_a_campaign_runs_is_named(deleted, tmp_pa
         store.commit()
     assert str(raised.value).startswith(f"{tmp_path / 'run' / deleted} ")
     store.close()
+
+
+def test_a_campaign_that_cannot_write_raises_what_all_commands_report(tmp_path):
+    config = CampaignConfig(env="lane-follow", ads="constant", method="uniform", budget="200")
+    with opened(config, tmp_path / "run", 0, resume=False) as ready:
+        with pytest.raises(ExecutionError, match=r"can no longer write to disk: .*run was deleted or moved"):
+            ready.campaign.run(lambda _: (tmp_path / "run").rename(tmp_path / "other"))
+        assert len(read_records(tmp_path / "other")) == ready.campaign.progress.executions > 0
