@@ -49,6 +49,17 @@ def test_a_file_that_was_cut_short_anywhere_becomes_the_same_again(tmp_path):
         assert evaluated(folder, 600) == whole
 
 
+@pytest.mark.parametrize("deleted", ["", OUTCOMES])
+def test_a_folder_that_is_deleted_while_it_is_filled_is_named(deleted, tmp_path):
+    folder = tmp_path / "evaluation"
+    evaluated(folder, 20)
+    found = RateFolder(folder, CONFIG)
+    block = next(found.file.blocks())
+    (folder / deleted).rename(tmp_path / "other")
+    with pytest.raises(InputError, match=rf"{OUTCOMES} was deleted or moved while the evaluation ran"):
+        found.file.append(block)
+
+
 def test_an_evaluation_goes_on_where_it_ended(tmp_path):
     first, _ = evaluated(tmp_path, BLOCK)
     assert first.n == BLOCK

@@ -8,11 +8,12 @@ Resuming a campaign means running it again with the stored traces in place of ex
 """
 
 import json
+import sqlite3
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -45,7 +46,16 @@ COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
 
 
 class ExecutionError(Exception):
-    """An execution could not be carried out for a reason other than the ADS, and does not count as its failure."""
+    """An execution could not be carried out or kept for a reason other than the ADS, and is not its failure."""
+
+
+@contextmanager
+def _kept() -> Iterator[None]:
+    """Say that the disk is full, or that the run folder is gone, where that ends a campaign."""
+    try:
+        yield
+    except (sqlite3.Error, OSError) as error:
+        raise ExecutionError(f"The campaign can no longer write to disk: {error}") from error
 
 
 @dataclass
@@ -111,7 +121,7 @@ class Campaign:
         budget was used up; None if it did not.
 
         Raises:
-            ExecutionError: if an execution could not be carried out.
+            ExecutionError: if an execution could not be carried out or stored.
             InputError: if the stored executions do not match this configuration.
         """
         ended = None
@@ -127,7 +137,8 @@ class Campaign:
         finally:
             self._commit(observe, 1, 0.0)
         if ended is not None and not self._pending:
-            self._store.note_end(ended)
+            with _kept():
+                self._store.note_end(ended)
         return ended
 
     def drive_uniformly(self) -> None:
@@ -149,7 +160,8 @@ class Campaign:
             if self.stopping:
                 return
             failed += self._judgment(pending).verdict.failed
-        UniformRate(count, failed).note(self._store)
+        with _kept():
+            UniformRate(count, failed).note(self._store)
 
     @property
     def unconfirmed(self) -> list[int]:
@@ -164,7 +176,7 @@ class Campaign:
         `observe` gets the number of failures that are done.
 
         Raises:
-            ExecutionError: if one could not be executed.
+            ExecutionError: if one could not be executed or stored.
         """
         numbers = [] if self.stopping else self.unconfirmed
         try:
@@ -172,7 +184,7 @@ class Campaign:
                 observe(done)
                 if self.stopping:
                     return
-        except RuntimeError as error:
+        except (RuntimeError, OSError) as error:
             raise ExecutionError(f"A failure could not be confirmed: {error}") from error
 
     @property
@@ -346,7 +358,7 @@ class Campaign:
         waited = time.monotonic() - self._committed
         if self._store.pending < rows and waited < seconds:
             return
-        with self.clock.during(Stage.STORING):
+        with self.clock.during(Stage.STORING), _kept():
             committed = self._store.commit(self.clock.total)
         for execution in committed:
             self.progress = self.progress.after(execution.record, resumed=False)

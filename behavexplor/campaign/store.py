@@ -200,10 +200,15 @@ class Store:
         """Number of executions that were added since the last `commit`."""
         return len(self._pending)
 
+    @property
+    def lost(self) -> Path | None:
+        """The run folder or its database if it was deleted or moved: SQLite goes on with a file without a name."""
+        return next((path for path in (self.folder, self.folder / DATABASE) if not path.exists()), None)
+
     def commit(self, stages: Mapping[str, float] = MappingProxyType({})) -> list[Execution]:
         """Write the added executions to disk, each failed one also to a file of its own, and return them."""
-        if not self.folder.is_dir():  # SQLite would go on writing to a file without a name
-            raise FileNotFoundError(f"{self.folder} was deleted")
+        if self.lost is not None:
+            raise FileNotFoundError(f"{self.lost} was deleted or moved")
         rows = []
         for execution in self._pending:
             record = execution.record.to_json().encode()

@@ -5,7 +5,6 @@ import json
 import os
 import shlex
 import signal
-import sqlite3
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -232,7 +231,7 @@ def fuzz(
         for warning in ready.warnings:
             display.say(f"Warning: {warning}")
         code = _run(ready.campaign, ready.store, display, chosen.method, text)
-        if ready.campaign.progress.executions:
+        if ready.campaign.progress.executions and ready.store.lost is None:
             code = _checked(code, ready.campaign.progress, folder, checks, output)
         return code
 
@@ -275,12 +274,13 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
             campaign.drive_uniformly()
         except ExecutionError as error:
             code, failure = EXECUTION_FAILED, str(error)
-        except (sqlite3.Error, OSError) as error:
-            code, failure = EXECUTION_FAILED, f"The campaign can no longer write to disk: {error}"
         else:
             failure = ended
     if code == OK and (lost := _confirm(campaign, display)):
         code, failure = EXECUTION_FAILED, lost
+    if store.lost is not None:
+        say(f"{program()}: {store.lost} was deleted or moved, and with it the results", file=sys.stderr)
+        return EXECUTION_FAILED
     progress = campaign.progress
     if 0 < progress.executions >= len(store):  # an interruption may come before all stored executions are counted
         say(campaign_summary(progress, store, program(), method, display.budget), file=text)
@@ -302,7 +302,7 @@ def _confirm(campaign: Campaign, display: Display) -> str | None:
     try:
         with display.meter(count, "failures") as meter:
             campaign.confirm(meter.show)
-    except (ExecutionError, OSError) as error:
+    except ExecutionError as error:
         return str(error)
     return None
 

@@ -27,7 +27,7 @@ from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DECLARED
 from behavexplor.data.untrusted import read_file
 from behavexplor.envs.making import highway_ids
-from behavexplor.errors import InputError, brief, unknown_name
+from behavexplor.errors import InputError, sentence, unknown_name
 from behavexplor.execution.evaluator import collected_notices
 from behavexplor.execution.simulation import Simulation, brief_space, seen_in
 
@@ -168,13 +168,13 @@ def _of_archive(archive: Archive) -> dict[str, str]:
     numbers, rate = archive.numbers, archive.numbers.get("learning_rate")
     try:
         layers = _layers(tensors_in(archive.path, archive.weights, archive.digest), None)
+        layers += _function_between(archive) if "-" in layers else ""
     except Exception as error:  # of many kinds, for damaged files
-        layers = f"unknown: {brief(str(error))}"
-    between = _function_between(archive) if "-" in layers else ""
+        layers = f"unknown: {sentence(str(error))}"
     return {
         "holds": "a model of Stable-Baselines3 or sb3-contrib",
         "algorithm": _algorithm(archive),
-        "layers": f"{layers}{between}",
+        "layers": layers,
         "trained for": f"{numbers.get('num_timesteps', '?')} decisions (n_envs: {numbers.get('n_envs', '?')})",
         "schedule": f"learning rate {rate}, constant" if rate is not None else "learning rate by a function",
         "versions": ", ".join(archive.versions) or "not in the file",

@@ -1,6 +1,7 @@
 """Preflight: check a system under test before a campaign, so that mistakes in its setup show early."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from itertools import chain, repeat
 from types import MappingProxyType
 from typing import Any, Final
@@ -53,7 +54,8 @@ class _Witness:
     def _noted(self, observation: Observation, answer: Any) -> Any:
         is_there = _rows_with_values(observation)
         self.observations.append(mapped(lambda array: np.array(array)[is_there], observation))
-        self.actions.append(np.array(answer[0])[is_there])
+        with suppress(TypeError, LookupError, ValueError):  # no pair, or of another shape: `ask` says what is wrong
+            self.actions.append(np.array(answer[0])[is_there])
         return answer
 
 

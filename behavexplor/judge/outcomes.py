@@ -116,6 +116,12 @@ class OutcomeFile:
                     raise InputError(f"{self.path}, line {number}, is damaged: delete it and those behind it") from None
 
     def append(self, block: OutcomeBlock) -> None:
-        """Write a block to disk."""
+        """Write a block to disk.
+
+        Raises:
+            InputError: if the file was deleted since, because a new one would be without the earlier blocks.
+        """
+        if not self.path.is_file():
+            raise InputError(f"{self.path} was deleted or moved while the evaluation ran")
         line = json.dumps({**packed(block.outcomes), "state": block.state})
         append_durably(self.path, line.encode() + b"\n")

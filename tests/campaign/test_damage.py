@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behavexplor.campaign.config import CONFIG, REVISION
+from behavexplor.campaign.campaign import ExecutionError
+from behavexplor.campaign.config import CONFIG, REVISION, CampaignConfig
 from behavexplor.campaign.database_file import LOCK
+from behavexplor.campaign.opening import opened
 from behavexplor.campaign.record import DATABASE, FAILURES, Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
@@ -284,10 +286,21 @@ def test_a_folder_that_cannot_be_written_can_be_read(tmp_path, whole):
     assert [path.name for path in here.iterdir()] == [path.name for path in whole.iterdir()]
 
 
-def test_a_folder_that_is_deleted_while_a_campaign_runs_is_named(tmp_path):
+@pytest.mark.parametrize("deleted", ["", DATABASE])
+def test_a_folder_that_is_deleted_while_a_campaign_runs_is_named(deleted, tmp_path):
     store = Store.create(tmp_path / "run", CAMPAIGN_CONFIG)
     store.add(execution(0, []))
-    shutil.rmtree(tmp_path / "run")
-    with pytest.raises(FileNotFoundError, match="was deleted"):
+    assert store.lost is None
+    (tmp_path / "run" / deleted).rename(tmp_path / "other")
+    with pytest.raises(FileNotFoundError, match="was deleted or moved") as raised:
         store.commit()
+    assert str(raised.value).startswith(f"{tmp_path / 'run' / deleted} ")
     store.close()
+
+
+def test_a_campaign_that_cannot_write_raises_what_all_commands_report(tmp_path):
+    config = CampaignConfig(env="lane-follow", ads="constant", method="uniform", budget="200")
+    with opened(config, tmp_path / "run", 0, resume=False) as ready:
+        with pytest.raises(ExecutionError, match=r"can no longer write to disk: .*run was deleted or moved"):
+            ready.campaign.run(lambda _: (tmp_path / "run").rename(tmp_path / "other"))
+        assert len(read_records(tmp_path / "other")) == ready.campaign.progress.executions > 0

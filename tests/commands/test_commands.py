@@ -331,6 +331,17 @@ def test_an_interruption_ends_cleanly_and_can_be_resumed(tmp_path, number, worke
     assert len(records(folder)) == counted + 5
 
 
+@pytest.mark.parametrize("deleted", ["", "campaign.db"])
+def test_a_campaign_whose_run_folder_is_deleted_ends_and_promises_no_results(deleted, tmp_path):
+    process = start(tmp_path / "a", "--workers", "1", "--json", str(tmp_path / "found.json"))
+    lost = tmp_path / "a" / deleted
+    lost.rename(tmp_path / "other")
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (3, "")
+    assert err.splitlines()[-1].endswith(f"{lost} was deleted or moved, and with it the results")
+    assert "Traceback" not in err
+
+
 def test_under_nohup_a_campaign_outlives_its_terminal(tmp_path):
     process = start(tmp_path / "a", "--workers", "1", under=["nohup"])
     process.send_signal(signal.SIGHUP)

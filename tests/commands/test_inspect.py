@@ -5,6 +5,7 @@ import json
 import shlex
 import sys
 import types
+import zipfile
 
 import cloudpickle
 import gymnasium
@@ -128,6 +129,17 @@ def test_what_cannot_be_read_is_one_sentence(content, message, tmp_path, capfd):
     assert message in said.err
     assert said.err.count("\n") == 1
     assert said.out == ""
+
+
+def test_of_weights_that_are_no_tensors_no_layers_are_said(tmp_path, capfd):
+    make_model("PPO").save(tmp_path / "model.zip")
+    with zipfile.ZipFile(tmp_path / "model.zip") as model, zipfile.ZipFile(tmp_path / "other-8.zip", "w") as other:
+        for name in model.namelist():
+            with other.open(name, "w") as member:
+                torch.save({"a": 1}, member) if name == "policy.pth" else member.write(model.read(name))
+    said = inspected(capfd, tmp_path / "other-8.zip")
+    assert "holds no tensors of a network: save its weights by torch.save(model.state_dict(), 'weights.pth')" in said
+    assert "between them" not in said
 
 
 def test_names_that_are_no_policies_are_refused(tmp_path, capfd):

@@ -100,6 +100,17 @@ def test_a_driver_that_answers_no_number_is_named():
     assert "failed (invalid): predict must return finite numbers" in warning
 
 
+@pytest.mark.parametrize(
+    ("answer", "words"), [(None, "a pair"), ((1, None), "actions of shape"), ({}, "a pair"), (([[1], []], None), "")]
+)
+def test_an_answer_of_another_form_is_described_as_in_the_campaign(answer, words, monkeypatch):
+    monkeypatch.setattr(Cruiser, "predict", lambda *_, **__: answer)
+    (said,) = warnings_about(Cruiser())
+    assert said.startswith("In the first scenarios, the ADS failed (")
+    assert words in said
+    assert "preflight" not in said
+
+
 def test_a_policy_trained_on_what_it_sees_is_fit():
     assert warnings_about(Trained(seen_by(Cruiser()))) == []
 

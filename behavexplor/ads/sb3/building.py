@@ -9,6 +9,8 @@ from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
+from opcode import opmap
+from types import FunctionType
 from typing import Any
 
 import gymnasium
@@ -91,6 +93,11 @@ def build_trusted(archive: Archive) -> BasePolicy:
         )
     _check_complete(archive, saved)
     policy_class, observation_space, action_space = (saved[name] for name in _NEEDED)
+    if isinstance(archive.settings.get("policy_class"), Inert) and _is_foreign(policy_class):
+        raise InputError(
+            f"{archive.path} contains {_name(archive.settings['policy_class'])} as code of another version than Python "
+            f"{_HERE}, whatever its system_info.txt says: save the model again where that class can be imported"
+        )
     return assemble(archive, policy_class, observation_space, action_space, saved.get("policy_kwargs") or {})
 
 
@@ -102,6 +109,15 @@ def _check_python(archive: Archive) -> None:
             f"{archive.path} contains {_name(policy_class)} as code of Python {archive.python}, which Python {_HERE} "
             f"cannot run: use Python {archive.python}, or save the model again where that class can be imported"
         )
+
+
+def _is_foreign(kind: object) -> bool:
+    """Return whether a class has functions of another version of Python, which may end the process.
+
+    Every function has the instruction RESUME, whose number differs: 151 in Python 3.11 and 3.12, and 149 in 3.13.
+    """
+    functions = [one for one in getattr(kind, "__dict__", {}).values() if isinstance(one, FunctionType)]
+    return any(opmap["RESUME"] not in one.__code__.co_code[::2] for one in functions)
 
 
 def _check_complete(archive: Archive, settings: Mapping[str, Any]) -> None:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Final, Literal
@@ -196,10 +196,10 @@ def _of_checkpoint(model: Path) -> Path:
 
 
 def _own(path: Path) -> Description:
-    values = _read(path)
+    values, known = _read(path), [one.name for one in fields(Description)]
     for key in values:
-        if key not in Description.__dataclass_fields__:
-            raise unknown_name(f"key of {path}", str(key), Description.__dataclass_fields__)
+        if key not in known:
+            raise unknown_name(f"key of {path}", str(key), known)
     given = values.get("config")
     trained = {key: given[key] for key in ENVIRONMENT_KEYS if key in given} if isinstance(given, dict) else {}
     description = _checked(path, {**trained, **values})

@@ -4,6 +4,7 @@ import base64
 import json
 import zipfile
 from contextlib import suppress
+from opcode import opmap
 
 import gymnasium
 import numpy as np
@@ -240,6 +241,19 @@ def test_code_of_another_python_is_named_before_it_runs(tmp_path, monkeypatch):
         load_policy(tmp_path / "old.zip")
     with pytest.raises(InputError, match=r"contains the class 'Small' of its own as code of Python 3\.8"):
         load_policy(tmp_path / "old.zip", (archive.digest,))
+
+
+def test_code_of_another_python_is_recognized_by_itself(tmp_path, monkeypatch):
+    """As Python 3.13 writes it, or 3.12 for 3.13 and later, with what the file says of its Python unchanged."""
+    monkeypatch.setattr(Small, "__module__", "__main__")
+    trained_small(tmp_path / "model.zip")
+    trust = (read_archive(tmp_path / "model.zip").digest,)
+    load_policy(tmp_path / "model.zip", trust)
+    code = Small.__init__.__code__  # pickle makes a class only once in a process, so it is this one that is loaded
+    other = code.co_code.replace(bytes([opmap["RESUME"], 0]), bytes([149 if opmap["RESUME"] == 151 else 151, 0]))
+    monkeypatch.setattr(Small.__init__, "__code__", code.replace(co_code=other))
+    with pytest.raises(InputError, match=r"contains the class 'Small' of its own as code of another version than"):
+        load_policy(tmp_path / "model.zip", trust)
 
 
 def test_nothing_is_said_of_calls_that_are_trusted(tmp_path, caplog):

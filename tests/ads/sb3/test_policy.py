@@ -705,6 +705,8 @@ def test_a_run_of_rl_zoo_may_have_wrappers_that_change_no_decision(settings, tmp
     ("text", "message"),
     [
         ("frame_stak: 2", "did you mean 'frame_stack'"),
+        ("memory_limit: 1", "known are about, action, activation, "),
+        ("__pydantic_config__: 1", "Unknown key of"),
         ("frame_stack: 0", "at least 1"),
         ("policy_frequency: fast", "policy_frequency"),
         ("statistics: gone.pkl", r"gone\.pkl, which does not exist"),
