@@ -46,8 +46,10 @@ def shown(value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return a value of numpy as a plain value."""
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+    """Return a value of numpy as a plain value, but for an unsigned number, which wraps around in highway-env."""
+    if isinstance(value, np.unsignedinteger) or not isinstance(value, np.generic | np.ndarray):
+        return value
+    return value.tolist()
 
 
 def _listed(value: object) -> object:

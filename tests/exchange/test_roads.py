@@ -5,14 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from highway_env.road.lane import PolyLane, StraightLane
+from highway_env.road.lane import PolyLane, PolyLaneFixedWidth, StraightLane
 from highway_env.road.road import RoadNetwork
 from lxml import etree
 from scipy.integrate import quad
 
 from behavexplor.data.road_shape import SineLane, part_of, plan_of_map
 from behavexplor.data.roadmap import Lane
-from behavexplor.envs.highway.course import road_plan
+from behavexplor.envs.highway.course import road_plan, road_shape
 from behavexplor.envs.making import make_registered
 from behavexplor.errors import InputError
 from behavexplor.exchange.axes import mirrored_lane, mirrored_points
@@ -163,6 +163,13 @@ def test_a_lane_of_another_shape_is_named():
     network.add_lane("a", "b", PolyLane(line, [(x, y - 2) for x, y in line], [(x, y + 2) for x, y in line]))
     with pytest.raises(InputError, match="is a PolyLane, and only straight, sine and circular lanes can be exported"):
         road_plan(network)
+
+
+def test_a_lane_of_points_may_have_no_lines():
+    network = RoadNetwork()
+    network.add_lane("a", "b", PolyLaneFixedWidth([(0.0, 0.0), (10.0, 1.0), (20.0, 0.0)]))
+    shape = road_shape(network)
+    assert (len(shape.surfaces), shape.striped, shape.borders) == (1, (), ())
 
 
 def test_a_lane_whose_geometry_was_changed_is_named():

@@ -1,5 +1,6 @@
 """Traits of highway-env's vehicles and obstacles: how they drive, as far as it does not change in an episode."""
 
+import inspect
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -51,16 +52,26 @@ def kind_of(cls: type[RoadObject]) -> int:
     Raises:
         InputError: if the class behaves differently from all those that the engine knows.
     """
+    computed = _computed(cls)
     for kind, known in _CLASSES.items():
-        if issubclass(cls, known) and replaced(cls, known, _CHANGEABLE) is None:
+        if computed is None and issubclass(cls, known) and replaced(cls, known, _CHANGEABLE) is None:
             return kind
     parent = next((parent for parent in cls.__mro__ if parent in _CLASSES.values()), cls)
-    reason = replaced(cls, parent, _CHANGEABLE) or "its class"
+    reason = computed or replaced(cls, parent, _CHANGEABLE) or "its class"
     names = ", ".join(known.__name__ for known in _CLASSES.values())
     raise InputError(
         f"The compiled engine does not know how a {cls.__name__} drives, because of {reason}; it knows {names} and "
         f"their subclasses with other parameters; use gymnasium.make_vec with vectorization_mode='sync'"
     )
+
+
+def _computed(cls: type[RoadObject]) -> str | None:
+    """Return what may give vehicles of a class other parameters than the class itself has; None if nothing does."""
+    if type(cls) is not type(RoadObject):
+        return "its metaclass"
+    names = (name for name in sorted(_CHANGEABLE) if hasattr(type(inspect.getattr_static(cls, name, 0)), "__get__"))
+    name = next(names, None)
+    return None if name is None else f"its {name}, which is computed"
 
 
 def classes_of_vehicles(env: AbstractEnv) -> tuple[type[RoadObject], ...]:

@@ -26,7 +26,6 @@ _MARKINGS: Final = {
 _COMPARED: Final = 9  # points of a lane at which the plan is compared with the network
 _TOLERANCE: Final = 1e-6  # [m]
 _MOST_POINTS: Final = 400  # of one line
-_LEFT, _RIGHT = 0, 1  # places of a lane's line types
 
 
 def ego_route(
@@ -88,7 +87,7 @@ def _planned(lane: AbstractLane, index: LaneIndex) -> PlannedLane:
         )
     if any(abs(lane.width_at(station) - plain.width) > _TOLERANCE for station in stations):
         raise InputError(f"The lane {index} has a varying width, and only constant widths can be exported")
-    left, right = (_MARKINGS[kind] for kind in lane.line_types)
+    left, right = (_MARKINGS[kind] for kind in _line_types(lane))
     return PlannedLane(plain, left, right, None if lane.speed_limit is None else float(lane.speed_limit))
 
 
@@ -117,12 +116,17 @@ def road_shape(network: RoadNetwork) -> RoadShape:
     for lane in network.lanes_list():
         left, right = _side(lane, -0.5), _side(lane, 0.5)
         surfaces.append(np.concatenate([left, right[::-1]]))
-        for line, kind in ((left, lane.line_types[_LEFT]), (right, lane.line_types[_RIGHT])):
+        for line, kind in zip((left, right), _line_types(lane), strict=True):
             if kind == LineType.STRIPED:
                 striped.append(line)
             elif kind != LineType.NONE:
                 borders.append(line)
     return RoadShape(tuple(surfaces), tuple(striped), tuple(borders))
+
+
+def _line_types(lane: AbstractLane) -> Sequence[int]:
+    """Return the kinds of the lines to the left and to the right of a lane, which a lane of points may lack."""
+    return lane.line_types or (LineType.NONE, LineType.NONE)
 
 
 def _side(lane: AbstractLane, share: float) -> Floats:

@@ -106,8 +106,39 @@ def test_subclasses_with_other_parameters_are_known():
     assert kind_of(type(make("merge-v0").road.objects[0])) == OBSTACLE
 
 
+class Moody(IDMVehicle):
+    TIME_WANTED = property(lambda self: 0.5 + abs(self.position[0]) % 2)
+
+
+class Shy:
+    """A descriptor: the class has another value than its vehicles."""
+
+    def __get__(self, vehicle, cls):
+        return 10.0 if vehicle is None else 20.0
+
+
+class Distant(IDMVehicle):
+    DISTANCE_WANTED = Shy()
+
+
+class Limited(type(IDMVehicle)):
+    MAX_SPEED = 21.0  # of the class, not of its vehicles
+
+
+class Slow(IDMVehicle, metaclass=Limited):
+    pass
+
+
 @pytest.mark.parametrize(
-    ("cls", "words"), [(Random, "how a Random drives"), (Agile, "KP_HEADING"), (ControlledVehicle, "ControlledVehicle")]
+    ("cls", "words"),
+    [
+        (Random, "how a Random drives"),
+        (Agile, "KP_HEADING"),
+        (ControlledVehicle, "ControlledVehicle"),
+        (Moody, "its TIME_WANTED, which is computed"),
+        (Distant, "its DISTANCE_WANTED, which is computed"),
+        (Slow, "its metaclass"),
+    ],
 )
 def test_other_behavior_is_refused_by_name(cls, words):
     env = make("highway-fast-v0")
