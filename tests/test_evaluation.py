@@ -11,7 +11,7 @@ import pytest
 
 from behavexplor import Run, evaluation
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, UNDECIDED, main
-from behavexplor.commands.rates import rates_table as table
+from behavexplor.commands.rate_table import rates_table as table
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.evaluation import STREAM, Evaluation, estimate_rates, start_judge, uniform_outcomes

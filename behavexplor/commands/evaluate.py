@@ -24,7 +24,7 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, 
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
-from behavexplor.commands.rates import rates_table
+from behavexplor.commands.rate_table import rates_table
 from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.scenario import LogicalScenario

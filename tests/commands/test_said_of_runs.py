@@ -17,7 +17,7 @@ from behavexplor.commands import BAD_INPUT, INTERRUPTED, OK, fuzz, main
 from behavexplor.commands import replay as replaying
 from behavexplor.commands.display import Display, Meter
 from behavexplor.commands.fuzz import Checks
-from behavexplor.commands.rates import rates_table as table
+from behavexplor.commands.rate_table import rates_table as table
 from behavexplor.data.durable import write_durably
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.evaluation import Evaluation
