@@ -83,7 +83,7 @@ def load_ads(
     """
     check_name(name)
     system, _, variant = name.partition(":")
-    if system in _ON_ROUTES or name.endswith(".npz"):
+    if system in _ON_ROUTES:
         _own_roads(f"The driving system {name!r}", roadmap)
     if system in SYSTEMS:
         module_name, _, factory = SYSTEMS[system].partition(":")
@@ -118,9 +118,8 @@ def _own_roads(driver: str, roadmap: RoadMap | None) -> RoadMap:
 def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activation: Activation | None) -> ADS:
     """Load the policy in a file or folder."""
     if path.suffix == ".npz":
-        driver: Any = LearnedDriver
-        learned: ADS = driver(roadmap, read_network(path))
-        return learned
+        driver, own = LearnedDriver, read_network(path)
+        return driver(_own_roads(f"The driving system {str(path)!r}", roadmap), own)
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
         from behavexplor.ads.sb3.wrappers import in_wrappers  # noqa: PLC0415
@@ -151,8 +150,8 @@ def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection
     from behavexplor.ads.sb3.dense_layers import trained_network  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.policy import load_network  # noqa: PLC0415
 
-    roads = _own_roads(f"{model}, a network of `train`,", roadmap)
     network = load_network(read_archive(model), trust)
+    roads = _own_roads(f"{model}, a network of `train`,", roadmap)
     return LearnedDriver(roads, trained_network(network, rule))
 
 

@@ -272,7 +272,8 @@ class Store:
         except database_rows.DamagedError:
             raise self._damaged(number) from None
         if row is None:
-            raise InputError(f"{self.folder} has no execution {number}: it has {len(self)}, numbered from 0")
+            has = f"{len(self)}, numbered from 0" if len(self) else "none"
+            raise InputError(f"{self.folder} has no execution {number}: it has {has}")
         return self._checked(row)
 
     def _checked(self, row: database_rows.Row) -> Execution:

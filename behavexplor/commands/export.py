@@ -1,8 +1,12 @@
 """`behavexplor export`: write executions as files that other tools can play."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
+from itertools import chain, count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Final, Literal
 
 import tyro
@@ -13,7 +17,7 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK
 from behavexplor.commands.flags import NewFolder, RunFolder, Trust
 from behavexplor.commands.roads import check_libraries, road_of
-from behavexplor.commands.wording import say
+from behavexplor.commands.wording import hanging, say
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.durable import folder_in
 from behavexplor.data.road_shape import RoadPlan
@@ -43,7 +47,7 @@ def export(
     Args:
         run: The run folder.
         numbers: Numbers of the executions, as in `records`; by default all failures.
-        out: Folder for the files.
+        out: Folder for the files. Those that are there are kept.
         format: Format of the files.
         ego: The ego as it was recorded, or free, for the driver of the other tool: only its start and destination.
         npcs: Scripted vehicles as trajectories, or as routes with speed profiles.
@@ -60,25 +64,38 @@ def export(
     try:
         chosen = tuple(dict.fromkeys(numbers)) or tuple(record.id for record in store.records() if record.failed)
         config = stored_config(run).says if format == "csv" else _accepted(run, trust)
-        if ego == "free" and any(store.execution(number).scenario.has_original for number in chosen):
-            raise InputError(
-                f"The vehicles of {config.env} react to the ego, and a scene has only what they did with the recorded "
-                "one: --ego free is for the environments with scripted vehicles"
+        with _new_files(out) as made:
+            scenes = _Scenes(
+                run, config, made, out, is_ego_free=ego == "free", as_routes=npcs == "routes", is_for_carla=is_for_carla
             )
-        folder, is_free, as_routes = folder_in(out), ego == "free", npcs == "routes"
-        scenes = _Scenes(run, config, folder, is_ego_free=is_free, as_routes=as_routes, is_for_carla=is_for_carla)
-        for number in chosen:
-            execution = store.execution(number)
-            if format == "csv":
-                write_table(execution.scenario, execution.load_trace(), out / f"{number:06d}.csv")
-            else:
-                scenes.write(execution)
+            for execution in map(store.execution, chosen):
+                if format == "csv":
+                    write_table(execution.scenario, execution.load_trace(), made / f"{execution.id:06d}.csv")
+                else:
+                    scenes.write(execution)
     except OSError as error:
         raise InputError(f"The folder {out} cannot be written: {error.strerror}") from None
     finally:
         store.close()
     say(f"{len(chosen)} execution{'s' * (len(chosen) != 1)} written to {out}")
+    if scenes.motionless:
+        say(hanging("", f"{scenes.motionless} of these {_AT_ONCE}"))
     return OK
+
+
+@contextmanager
+def _new_files(out: Path) -> Iterator[Path]:
+    """Give a folder for files, and move them to another one, or none if another file has the name of one of them."""
+    with TemporaryDirectory(prefix=".export-", dir=folder_in(out)) as folder:
+        yield Path(folder)
+        files = {file: out / file.name for file in sorted(Path(folder).iterdir())}
+        for file, there in files.items():
+            if there.exists() and there.read_bytes() != file.read_bytes():
+                raise InputError(
+                    f"{there} is kept, and another file would take its place: name another folder for --out"
+                )
+        for file, there in files.items():
+            file.replace(there)
 
 
 def _accepted(run: Path, trust: tuple[str, ...]) -> CampaignConfig:
@@ -86,16 +103,18 @@ def _accepted(run: Path, trust: tuple[str, ...]) -> CampaignConfig:
     return accepted(stored_config(run), Consent(trust), DRIVING - {ADS})
 
 
+_AT_ONCE: Final = f"ended in the first frame: nothing moves as recorded until the time limit of {EPISODE_TIME:g} s"
 _EARLY: Final = "; highway-env may declare it before the boxes touch, and then the time limit stops the scene"
 
 
 class _Scenes:
-    """The folder of exported scenes. Executions on the same road share its file."""
+    """The scenes of an export, in the folder `made` and to be moved to `out`. Those on the same road share its file."""
 
     def __init__(
         self,
         run: Path,
         config: CampaignConfig,
+        made: Path,
         out: Path,
         *,
         is_ego_free: bool,
@@ -104,11 +123,12 @@ class _Scenes:
     ) -> None:
         self._config = config
         self._date = datetime.fromtimestamp(int((run / CONFIG).stat().st_mtime), UTC)
-        self._out = out
+        self._made, self._out = made, out
         self._is_ego_free = is_ego_free
         self._as_routes = as_routes
         self._is_for_carla = is_for_carla
         self._roads: dict[RoadPlan, str] = {}
+        self.motionless = 0  # number of scenes without recorded motion
 
     def write(self, execution: Execution) -> None:
         """Write an execution."""
@@ -117,11 +137,20 @@ class _Scenes:
         scenario, trace = execution.scenario, execution.load_trace()
         plan, logical = road_of(scenario, self._config.env, self._config.env_config or {})
         follows_script = not logical.has_original
+        if self._is_ego_free and not follows_script:
+            raise InputError(
+                f"The vehicles of {self._config.env} react to the ego, and a scene has only what they did with the "
+                "recorded one: --ego free is for the environments with scripted vehicles"
+            )
         record = execution.record
         goes_on = trace.duration == 0 or self._is_ego_free
         early = _EARLY if logical.has_original and record.end == "collision" else ""
+        ended = outcome(record.violated, record.end)
+        is_motionless = trace.duration == 0 and not self._is_ego_free
+        self.motionless += is_motionless
+        at_once = f"; it {_AT_ONCE}" if is_motionless else ""
         scene = SceneFile(
-            title=f"Execution {execution.id} of {self._config.env}: it {outcome(record.violated, record.end)}{early}",
+            title=f"Execution {execution.id} of {self._config.env}: it {ended}{at_once}{early}",
             environment=self._config.env,
             env_config=(follows_script and self._config.env_config) or {},
             road_file=self._road_file(plan, execution.id),
@@ -137,7 +166,7 @@ class _Scenes:
                 f"In execution {execution.id}, a vehicle appears or leaves, which CARLA's ScenarioRunner cannot play: "
                 "give the numbers of other executions"
             )
-        path, dialect = self._out / f"{execution.id:06d}.xosc", CARLA if self._is_for_carla else STANDARD
+        path, dialect = self._made / f"{execution.id:06d}.xosc", CARLA if self._is_for_carla else STANDARD
         write_scene(scene, path, self._date, as_routes=self._as_routes, dialect=dialect)
 
     def _road_file(self, plan: RoadPlan, number: int) -> str:
@@ -147,10 +176,15 @@ class _Scenes:
 
         if plan not in self._roads:
             name = re.sub(r"[^\w.-]", "-", self._config.env.rpartition("/")[2])
-            file, shared = f"{name}-{number:06d}.xodr", f"{name}.xodr"
-            write_road(plan, name, self._out / file)
-            if not (self._out / shared).exists() or same_road(self._out / shared, self._out / file):
-                (self._out / file).replace(self._out / shared)  # scenes of earlier exports may have another road
-                file = shared
+            road, own = self._made / "road", f"{name}-{number:06d}"
+            write_road(plan, name, road)
+            names = (f"{one}.xodr" for one in chain([name, own], (f"{own}-{i}" for i in count(2))))
+            others = {*self._roads.values()}  # scenes of earlier exports may have another road, too
+            free = (one for one in names if one not in others)
+            file = next(one for one in free if not (self._out / one).exists() or same_road(self._out / one, road))
+            if (self._out / file).exists():
+                road.unlink()
+            else:
+                road.replace(self._made / file)
             self._roads[plan] = file
         return self._roads[plan]

@@ -156,10 +156,16 @@ def read_known_classes(path: Path | None) -> frozenset[str]:
         return frozenset()
     try:
         text = read_file(path, pipes=True).decode()
-        if text.lstrip().startswith("{"):
+        if text.lstrip().startswith(("{", "[")):
             return frozenset(str(one["id"]) for one in json.loads(text)["classes"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is neither a list of classes nor a summary: {error}") from None
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(
+            f"{path} is neither a list of classes, one in each line, nor a summary that --json has written"
+        ) from None
     lines = (line.partition("#")[0].strip() for line in text.splitlines())
     return frozenset(line for line in lines if line)
 

@@ -6,6 +6,7 @@ In 1.2, properties, whose names begin with "behavexplor:", hold what OpenSCENARI
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +20,7 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.durable import write_durably
 from behavexplor.exchange import axes
-from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest
+from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest, scenario_digest
 
 AUTHOR: Final = "behavexplor"
 TIME_LIMIT: Final = "TimeLimit"  # parameter: time at which the storyboard stops [s]
@@ -68,14 +69,15 @@ def write_scene(
     act = xosc.Act("motion", _at(0.0, dialect), stop if dialect is CARLA else None)  # ScenarioRunner stops acts only
     for mover in scene.movers:
         rows = _rows(mover, dialect)
+        written = replace(mover, speed=_first_speed(mover), center=(_rounded(dialect.axle * mover.size[0]), 0.0))
         if as_routes and mover.script is not None:
             profile = axes.speed_profile(mover.script)
             rows, actions = rows[:1], _drive(mover, profile)
-            digest = motion_digest(_first_speed(mover), rows, mover.route, profile)
+            digest = motion_digest(written, rows, mover.route, profile)
         else:
-            actions, digest = _follow(mover, rows), motion_digest(_first_speed(mover), rows)
-        entities.add_scenario_object(mover.name, _vehicle(mover, digest, dialect))
-        _begin(init, mover, rows[0])
+            actions, digest = _follow(mover, rows), motion_digest(written, rows)
+        entities.add_scenario_object(mover.name, _vehicle(written, digest, dialect))
+        _begin(init, written, rows[0])
         if scene.is_ego_free and mover.name == EGO:
             actions = _reach(init, scene.destination, dialect)
         group = _group(mover, rows[0], actions, dialect)
@@ -105,6 +107,7 @@ def _facts(scene: SceneFile) -> dict[str, str]:
         facts[axes.ENV_CONFIG] = json.dumps(dict(scene.env_config), sort_keys=True)
     if scene.scenario is not None:
         facts[axes.SCENARIO] = scene.scenario.to_json()
+        facts[axes.RECORDED] = scenario_digest(scene.scenario, len(scene.movers))
     return facts
 
 
@@ -132,7 +135,7 @@ def _vehicle(mover: Mover, digest: str, dialect: Dialect) -> Any:
     made = xosc.Vehicle(
         mover.type if dialect is STANDARD else _BLUEPRINTS.get(mover.type, _BLUEPRINT),
         category,
-        xosc.BoundingBox(width, length, height, _rounded(dialect.axle * length), 0.0, height / 2),
+        xosc.BoundingBox(width, length, height, *mover.center, height / 2),
         xosc.Axle(_STEERING, _WHEEL, track, base, _WHEEL / 2),
         xosc.Axle(0.0, _WHEEL, track, 0.0, _WHEEL / 2),
         _MAX_SPEED,
@@ -176,7 +179,7 @@ def _begin(init: Any, mover: Mover, row: Floats) -> None:
         return
     init.add_init_action(mover.name, xosc.TeleportAction(_place(row)))
     step = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
-    init.add_init_action(mover.name, xosc.AbsoluteSpeedAction(_first_speed(mover), step))
+    init.add_init_action(mover.name, xosc.AbsoluteSpeedAction(mover.speed, step))
 
 
 def _follow(mover: Mover, rows: Floats) -> list[tuple[str, Any]]:

@@ -6,9 +6,10 @@ Every element of a file must be one that is known here, so that nothing is left 
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError, brief
 from behavexplor.exchange import axes
-from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest
+from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest, scenario_digest
 from behavexplor.exchange.xml_files import Element, read_xml
 
 _CHILDREN: Final = {
@@ -107,6 +108,8 @@ def read_scene(path: Path) -> SceneFile:
     """
     root = _parsed(path)
     facts = _properties(root.find("FileHeader"))
+    scenario = _scenario(facts)
+    n_vehicles = int(facts[axes.VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(axes.VEHICLES, "")) else 0
     motions = {name: _Motion(name) for name in _names(root)}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         _motion(motions, private.get("entityRef"), private).begin(private)
@@ -122,21 +125,22 @@ def read_scene(path: Path) -> SceneFile:
         road_file=_road_file(root),
         movers=movers,
         is_ego_free=len(movers[0].time) == 1,
-        scenario=_scenario(facts),
-        n_vehicles=int(facts[axes.VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(axes.VEHICLES, "")) else 0,
+        scenario=scenario,
+        n_vehicles=n_vehicles,
+        is_changed=scenario is not None and facts.get(axes.RECORDED) != scenario_digest(scenario, n_vehicles),
     )
 
 
 def _take_act(motions: dict[str, "_Motion"], act: Element) -> None:
-    begin = _start_time(act)
+    begin = _start(act)
     for group in act.iterfind("ManeuverGroup"):
         actors = [_motion(motions, actor.get("entityRef"), actor) for actor in group.iterfind("Actors/EntityRef")]
         for event in group.iterfind("Maneuver/Event"):
-            time = max(_start_time(event), begin)
+            start = max(_start(event), begin, key=lambda one: one.time)
             for entity in event.iterfind("Action/GlobalAction/EntityAction"):
-                _motion(motions, entity.get("entityRef"), entity).appear_or_leave(entity, time)
+                _motion(motions, entity.get("entityRef"), entity).appear_or_leave(entity, start.time)
             for actor in actors:
-                actor.add(event, time)
+                actor.add(event, start)
 
 
 def _parsed(path: Path) -> Element:
@@ -257,12 +261,12 @@ class _Motion:
         for place in entity.iterfind("AddEntityAction/Position/WorldPosition"):
             self.start = np.array([time, *_pose(place)])
 
-    def add(self, event: Element, time: float) -> None:
-        """Take the entity's own actions in an event that starts at a time [s]."""
+    def add(self, event: Element, start: "_Start") -> None:
+        """Take the entity's own actions in an event."""
         for follow in event.iterfind("Action/PrivateAction/RoutingAction/FollowTrajectoryAction"):
             if self.trajectory is not None:
                 raise _refused(follow, f"a second trajectory of {self.name}")
-            self.trajectory = _rows(follow, time)
+            self.trajectory = _rows(follow, start)
         driving = event.find("Action/PrivateAction/RoutingAction/AssignRouteAction/Route")
         for place in () if driving is None else driving.iterfind("Waypoint/Position/WorldPosition"):
             self.route.append([_number(place, "x"), _number(place, "y")])
@@ -285,16 +289,23 @@ class _Motion:
         return self.trajectory
 
 
-def _start_time(element: Element) -> float:
-    """Return the time at which an act or an event starts [s]."""
+class _Start(NamedTuple):
+    """When an act or an event starts."""
+
+    time: float  # [s]
+    condition: Element  # the condition that says so
+
+
+def _start(element: Element) -> _Start:
+    """Return when an act or an event starts."""
     conditions = list(element.iterfind("StartTrigger/ConditionGroup/Condition"))
     values = [condition.find("ByValueCondition/SimulationTimeCondition") for condition in conditions]
     if len(values) != 1 or values[0] is None or values[0].get("rule") not in _FROM_THEN_ON:
         raise _refused(element, f"the start of this {element.tag}, which is not at a simulation time,")
-    return _number(values[0], "value") + _number(conditions[0], "delay")
+    return _Start(_number(values[0], "value") + _number(conditions[0], "delay"), values[0])
 
 
-def _rows(follow: Element, start: float) -> Floats:
+def _rows(follow: Element, start: _Start) -> Floats:
     trajectory = follow.find("TrajectoryRef/Trajectory")
     timing = follow.find("TimeReference/Timing")
     vertices = [] if trajectory is None else list(trajectory.iterfind("Shape/Polyline/Vertex"))
@@ -304,9 +315,11 @@ def _rows(follow: Element, start: float) -> Floats:
     with np.errstate(over="ignore", invalid="ignore"):  # such times are refused below
         rows[:, 0] = rows[:, 0] * _number(timing, "scale") + _number(timing, "offset")
     if timing.get("domainAbsoluteRelative") == "relative":
-        rows[:, 0] += start
-    if not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any() or start > rows[0, 0] + _SAME_TIME:
-        raise _refused(follow, "a trajectory whose times do not increase from its start on")
+        rows[:, 0] += start.time
+    if not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
+        raise _refused(follow, "a trajectory whose times do not increase")
+    if start.time > rows[0, 0] + _SAME_TIME:
+        raise _refused(start.condition, f"a start at {start.time:g} s, after the beginning of the trajectory,")
     return rows
 
 
@@ -336,15 +349,17 @@ def _mover(entity: Element, motion: _Motion) -> Mover:
         if axes.ROUTE in facts
         else None
     )
-    digest = motion_digest(motion.speed, rows, motion.route, motion.profile)
-    return Mover(
+    ahead, aside = _number(center, "x"), _number(center, "y")
+    mover = Mover(
         name=motion.name,
         type=kind,
         size=(_number(box, "length"), _number(box, "width")),
         time=rows[:, 0],
-        pose=axes.shifted(axes.mirrored(rows[:, 1:]), _number(center, "x")),
+        pose=axes.shifted(axes.mirrored(rows[:, 1:]), ahead),
         speed=motion.speed,
         is_gone=motion.leaves,
         script=script,
-        is_changed=facts.get(axes.RECORDED, "" if script is None else digest) != digest,
+        center=(ahead, aside),
     )
+    digest = motion_digest(mover, rows, np.array(motion.route), np.array(motion.profile))
+    return replace(mover, is_changed=facts.get(axes.RECORDED, "" if script is None else digest) != digest)

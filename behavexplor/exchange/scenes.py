@@ -26,6 +26,7 @@ from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario, scripted
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, unknown_name
+from behavexplor.exchange import axes
 from behavexplor.exchange.axes import DIGITS, mirrored, mirrored_points, route_points
 
 EGO: Final = "Ego"  # name of the ego; the other vehicles are NPC1, NPC2, ...
@@ -49,7 +50,8 @@ class Mover:
     script: NPC | None = None  # its route and waypoints; None if it is not scripted
     # points of its route, see `behavexplor.exchange.axes`; empty if it is not scripted
     route: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    is_changed: bool = False  # whether its motion in a file differs from the motion that was written
+    center: tuple[float, float] = (0.0, 0.0)  # its center in a file, from the reference point along and across it [m]
+    is_changed: bool = False  # whether a file says something else of it than was written, see `motion_digest`
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +70,34 @@ class SceneFile:
     time_limit: float = EPISODE_TIME  # time at which the scene ends [s]
     scenario: Scenario | None = None  # the scenario, if its vehicles are not scripted; see `behavexplor.data.scenario`
     n_vehicles: int = 0  # number of vehicles that were written
+    is_changed: bool = False  # whether a file has another scenario than was written
 
 
-def motion_digest(*numbers: ArrayLike) -> str:
-    """Return a digest of all numbers that a file says of a motion, which tells whether they were changed."""
+def motion_digest(mover: Mover, rows: Floats, *drive: Floats) -> str:
+    """Return a digest of all numbers in a file that count for a vehicle, which tells whether they were changed.
+
+    Args:
+        mover: the vehicle.
+        rows: times and poses of its reference point, shape (T, 4).
+        drive: points of its route and its speed profile, if the file has them.
+
+    The type of a scripted vehicle has a box, and its trajectory has a speed at the start, so these do not count there.
+    """
+    is_scripted = mover.script is not None
+    numbers: list[ArrayLike] = [rows, *drive]
+    numbers += [] if is_scripted and len(rows) > 1 else [mover.speed]
+    numbers += [] if is_scripted else [mover.size, mover.center]
     flat = np.concatenate([np.asarray(part, dtype=np.float64).ravel() for part in numbers])
-    return hashlib.sha256(flat.tobytes()).hexdigest()[:_DIGEST_LENGTH]
+    return _digest(flat.tobytes())
+
+
+def scenario_digest(scenario: Scenario, n_vehicles: int) -> str:
+    """Return a digest of a scenario and its number of vehicles, which tells whether they were changed."""
+    return _digest(f"{n_vehicles} {scenario.to_json()}".encode())
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:_DIGEST_LENGTH]
 
 
 def vehicle_name(i: int) -> str:
@@ -264,7 +288,7 @@ def _named(message: str, scene: SceneFile) -> str:
 
 def _drawn(scene: SceneFile, logical: LogicalScenario) -> Scenario:
     """Return the scenario that a scene of a highway-env environment holds. Its vehicles drive themselves."""
-    changed = [mover.name for mover in scene.movers if mover.is_changed]
+    changed = [mover.name for mover in scene.movers if mover.is_changed or mover.type != VEHICLE]
     if scene.scenario is None:
         raise InputError(f"This scene of {logical.name} lacks the property behavexplor:scenario, its random draws")
     if changed or len(scene.movers) != scene.n_vehicles:
@@ -273,25 +297,30 @@ def _drawn(scene: SceneFile, logical: LogicalScenario) -> Scenario:
             f"The vehicles of {logical.name} drive themselves, so their motion cannot be given: {what}; export the "
             "scene again"
         )
+    if scene.is_changed:
+        raise InputError(
+            f"The draws of a scene of {logical.name} cannot be changed, because its trajectories would not be theirs: "
+            "export the scene again"
+        )
     logical.check(scene.scenario)
     return scene.scenario
 
 
 def _check_ego(ego: Mover, ranges: ScriptedLogicalScenario) -> None:
     """Check that the ego is the environment's, and starts where it always does."""
+    if not _has_box(ego, *EGO_SIZE):
+        raise InputError(f"The bounding box of the ego cannot be changed: it is {_box(*EGO_SIZE)}")
     start = ranges.roadmap.start_pose
     if math.dist(ego.pose[0, :2], start[:2]) > _SAME or ego.speed > _SAME:
         raise InputError(f"The start of the ego cannot be changed: in {ranges.name} it always stands at the same place")
-    if np.abs(np.array(ego.size) - EGO_SIZE).max() > _SAME:
-        raise InputError(f"The bounding box of the ego cannot be changed: it is {EGO_SIZE[0]} x {EGO_SIZE[1]} m")
 
 
 def _npc(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
     if mover.type not in ranges.vehicle_types:
         raise InputError(f"{mover.name}: {unknown_name('vehicle type', mover.type, ranges.vehicle_types)}")
-    length, width = VEHICLE_SIZES[mover.type]
-    if max(abs(mover.size[0] - length), abs(mover.size[1] - width)) > _SAME:
-        raise InputError(f"{mover.name}: a {mover.type} is {length} x {width} m: choose another type of vehicle")
+    if not _has_box(mover, *VEHICLE_SIZES[mover.type]):
+        box = _box(*VEHICLE_SIZES[mover.type])
+        raise InputError(f"{mover.name}: a {mover.type} is {box}: give it this box, or choose another type of vehicle")
     if mover.time[0] > 0 or mover.is_gone:
         raise InputError(
             f"{mover.name} appears or leaves during the scene, but scripted vehicles are there all the time"
@@ -299,8 +328,23 @@ def _npc(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
     if mover.script is not None and not mover.is_changed:
         return mover.script
     if len(mover.time) < 2:
+        if mover.script is None:
+            raise InputError(
+                f"{mover.name} has neither a trajectory nor the properties {axes.ROUTE} and {axes.WAYPOINTS}"
+            )
         raise InputError(
-            f"{mover.name}: its start, route or speed profile was changed, and it has no trajectory: change its "
-            "properties behavexplor:route and behavexplor:waypoints instead"
+            f"{mover.name} has no trajectory, and its start, route or speed profile is not that which was exported "
+            f"with its properties: change {axes.ROUTE} and {axes.WAYPOINTS} to what it shall drive, and remove "
+            f"{axes.RECORDED}"
         )
     return replace(fitted_script(mover, ranges), type=mover.type)
+
+
+def _has_box(mover: Mover, length: float, width: float) -> bool:
+    """Return whether a vehicle has a bounding box with this size, and with its center where it was written."""
+    box = np.array([length, width, axes.REAR_AXLE * length, 0.0])
+    return bool(np.abs(np.array([*mover.size, *mover.center]) - box).max() <= _SAME)
+
+
+def _box(length: float, width: float) -> str:
+    return f"{length} x {width} m, with the center at x={axes.REAR_AXLE * length:g} and y=0"

@@ -107,10 +107,12 @@ class FuzzCallback(BaseCallback):
             raise InputError(f"every={every} must lie between 1 and {MOST_STEPS} training steps")
         if not 0.0 < share <= 1.0:
             raise InputError(f"share={share} must be greater than 0 and at most 1")
+        if stop_below is not None and not stop_below > 0.0:
+            raise InputError(f"stop_below={stop_below} must be greater than 0, or None to train on")
         self._env, self._every, self._share, self._stop_below = env, every, share, stop_below
         self._out = None if out is None else Path(out)
         self._folder: Path | None = None
-        self._settings = {"budget": budget, "seed": seed, "specs": tuple(specs), **settings}
+        self._settings = {"budget": str(budget), "seed": seed, "specs": tuple(specs), **settings}
         self._settings |= {} if method is None else {"method": method}
         self._begin = self._spent = 0.0
         self._next = every

@@ -1,6 +1,7 @@
 """Fuzzing during a training of Stable-Baselines3, and models in memory as drivers."""
 
 import importlib
+import math
 
 import numpy as np
 import pytest
@@ -99,7 +100,8 @@ def test_rounds_that_would_take_too_long_are_left_out(tmp_path):
 
 @pytest.mark.slow
 def test_a_policy_that_is_good_enough_ends_the_training(tmp_path):
-    callback = FuzzCallback(every=32, share=1.0, stop_below=1.1, out=str(tmp_path), **SEARCH)
+    numbers = {"budget": np.int64(SEARCH["budget"]), "seed": np.int64(0)}  # as searches for hyperparameters give them
+    callback = FuzzCallback(every=32, share=1.0, stop_below=1.1, out=str(tmp_path), **{**SEARCH, **numbers})
     model = ppo()
     model.learn(96, callback=callback)
     assert model.num_timesteps == 32
@@ -113,7 +115,17 @@ def test_a_hyperparameter_file_can_name_it():
     assert isinstance(getattr(importlib.import_module(module), kind)(**settings), BaseCallback)
 
 
-@pytest.mark.parametrize(("name", "value"), [("every", 0), ("share", 0.0), ("share", 2.0)])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("every", 0),
+        ("share", 0.0),
+        ("share", 2.0),
+        ("share", math.nan),
+        ("stop_below", math.nan),
+        ("stop_below", 0.0),  # no rate is below it
+    ],
+)
 def test_values_out_of_range_are_refused(name, value):
     with pytest.raises(behavexplor.InputError, match=f"{name}="):
         FuzzCallback(**{name: value})

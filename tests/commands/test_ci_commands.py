@@ -53,7 +53,12 @@ def test_only_classes_that_are_not_known_fail_a_check(finished, tmp_path, capsys
     assert json.loads((tmp_path / "s.json").read_text())["new_classes"] == summary["new_classes"][:1]
     assert main([*resumed, "--known-classes", str(tmp_path / "all.json")]) == 0
     assert main([*resumed, "--known-classes", str(tmp_path / "none.txt")]) == 2
-    assert "is neither a list of classes nor a summary" in capsys.readouterr().err
+    assert "none.txt cannot be read: No such file or directory" in capsys.readouterr().err
+    for other in ('{"failed": 3}', '["no/class"]', '{"classes": ["no/class"]}', "{", "[" * 100_000):
+        (tmp_path / "other.json").write_text(other)
+        assert main([*resumed, "--known-classes", str(tmp_path / "other.json")]) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert said.endswith("neither a list of classes, one in each line, nor a summary that --json has written")
 
 
 def test_a_share_of_failures_above_the_threshold_fails_a_check(finished, capsys):

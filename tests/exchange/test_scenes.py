@@ -1,6 +1,7 @@
 """Scenes: exported, valid, imported and executed again; changed by hand; refused with a name."""
 
 import csv
+import json
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -213,6 +214,42 @@ def test_a_changed_trajectory_counts(scene, tmp_path):
     assert np.hypot(*(motion - mover.pose[:, :2]).T).max() < MAX_DEVIATION
 
 
+def begin(root, name):
+    """What a vehicle has at the start."""
+    return next(one for one in root.iter("Private") if one.get("entityRef") == name)
+
+
+def test_the_speed_at_the_start_of_a_trajectory_has_no_effect(scene, tmp_path):
+    path, scenario, _ = scene
+
+    def faster(root):
+        begin(root, "NPC2").find(".//AbsoluteTargetSpeed").set("value", "7.0")
+
+    assert imported(changed(path, tmp_path, faster)) == scenario
+
+
+def test_a_copied_vehicle_without_a_trajectory_needs_its_digest_removed(scene, tmp_path):
+    path, scenario, _ = scene
+
+    def copy(root):
+        """Replace NPC2 by a copy of its entity and start."""
+        group(root, "NPC2").getparent().remove(group(root, "NPC2"))
+        entity(root, "NPC2").set("name", "Copy")
+        begin(root, "NPC2").set("entityRef", "Copy")
+
+    copied = changed(path, tmp_path, copy)
+    with pytest.raises(InputError, match=r"Copy has no trajectory.*remove behavexplor:recorded"):
+        imported(copied)
+    assert imported(changed(copied, tmp_path, drop(lambda root: value(root, "Copy", "recorded")))) == scenario
+
+    def forget(root):
+        properties = entity(root, "Copy").find("Vehicle/Properties")
+        properties.getparent().remove(properties)
+
+    with pytest.raises(InputError, match="Copy has neither a trajectory nor the properties behavexplor:route"):
+        imported(changed(copied, tmp_path, forget))
+
+
 def test_a_script_without_a_trajectory_counts(scene, tmp_path):
     path, scenario, _ = scene
 
@@ -308,13 +345,20 @@ PRIVATE = "Storyboard/Init/Actions/Private/PrivateAction"
         (set_attribute(lambda root: value(root, "NPC2", "route"), "value", "up"), "NPC2: route: Unknown route 'up'"),
         (drop(first(f"{PRIVATE}/TeleportAction/..")), "Ego is nowhere: it needs a TeleportAction"),
         (drop(first(".//Event/StartTrigger")), "the start of this Event, which is not at a simulation time, cannot be"),
-        (set_attribute(first("Storyboard/Story/Act/StartTrigger//*[@rule]"), "value", "3"), "from its start on cannot"),
+        (set_attribute(first("Storyboard/Story/Act/StartTrigger//*[@rule]"), "value", "3"), "a start at 3 s, after"),
+        (set_attribute(first(".//Event//SimulationTimeCondition"), "value", "5"), "a start at 5 s, after"),
         (set_attribute(first(".//Event//SimulationTimeCondition"), "rule", "lessThan"), "the start of this Event"),
         (leave, "NPC1 appears or leaves during the scene"),
         (
             set_attribute(lambda root: entity(root, "NPC1").find(".//Dimensions"), "length", "12"),
             "choose another type of vehicle",
         ),
+        (
+            set_attribute(lambda root: entity(root, "NPC1").find(".//Center"), "x", "0"),
+            "choose another type of vehicle",
+        ),
+        (set_attribute(lambda root: entity(root, "NPC1").find(".//Center"), "y", "1"), "choose another type"),
+        (set_attribute(lambda root: entity(root, "Ego").find(".//Center"), "x", "0"), "box of the ego cannot be"),
         (
             set_attribute(lambda root: entity(root, "Ego").find(".//Dimensions"), "length", "12"),
             "The bounding box of the ego cannot be changed",
@@ -344,7 +388,7 @@ def test_a_changed_speed_profile_is_named(scene, tmp_path):
     write(path, scenario, trace, as_routes=True)
     assert imported(path) == scenario
     change = set_attribute(first(".//SpeedProfileEntry"), "speed", "3")
-    with pytest.raises(InputError, match="its start, route or speed profile was changed"):
+    with pytest.raises(InputError, match="its start, route or speed profile is not that which was exported"):
         imported(changed(path, tmp_path, change))
 
 
@@ -391,8 +435,24 @@ def test_a_scene_of_vehicles_that_drive_themselves_cannot_be_changed(campaign, t
         vertex = list(group(root, "NPC1").iter("Vertex"))[-1]
         vertex.find("Position/WorldPosition").set("x", "0")
 
-    with pytest.raises(InputError, match="drive themselves, so their motion cannot be given: NPC1 was changed"):
-        imported(changed(path, tmp_path, move))
+    for change in (
+        move,
+        lambda root: entity(root, "NPC1").find(".//Dimensions").set("length", "9"),
+        lambda root: entity(root, "NPC1").find(".//Center").set("x", "0"),
+        lambda root: entity(root, "NPC1").find("Vehicle").set("name", "truck"),
+        lambda root: begin(root, "NPC1").find(".//AbsoluteTargetSpeed").set("value", "1"),
+    ):
+        with pytest.raises(InputError, match="drive themselves, so their motion cannot be given: NPC1 was changed"):
+            imported(changed(path, tmp_path, change))
+
+    def redraw(root):
+        drawn = root.find("FileHeader/Properties/Property[@name='behavexplor:scenario']")
+        scenario = json.loads(drawn.get("value"))
+        next(iter(scenario["draws"].values()))[0] = 0.25
+        drawn.set("value", json.dumps(scenario))
+
+    with pytest.raises(InputError, match="The draws of a scene of roundabout-v0 cannot be changed"):
+        imported(changed(path, tmp_path, redraw))
 
     def remove(root):
         for element in (entity(root, "NPC1"), group(root, "NPC1")):

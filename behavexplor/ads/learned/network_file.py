@@ -37,7 +37,9 @@ def read_network(path: Path) -> TrainedNetwork:
         layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(len(file) // 2)]
     except FileNotFoundError:
         raise InputError(f"There is no file {path}") from None
-    except (OSError, ValueError, KeyError) as error:
+    except KeyError as error:
+        raise InputError(f"{path} contains no network of this package: it has no array {error}") from None
+    except (OSError, ValueError) as error:
         raise InputError(f"{path} contains no network of this package: {error}") from None
     if any(array.dtype.kind != "f" for layer in layers for array in layer):
         raise InputError(f"{path} contains no network of this package: weights and biases must be floats")

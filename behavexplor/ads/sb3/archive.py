@@ -5,6 +5,7 @@ import binascii
 import hashlib
 import io
 import json
+import pickle
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -78,7 +79,7 @@ def read_archive(path: Path) -> Archive:
     reader = PickleReader()
     try:
         packed = read_file(path, MAX_BYTES)
-        with ZipFile(io.BytesIO(packed)) as file:
+        with _opened(path, packed) as file:
             _check_members(path, file, len(packed))
             data = _settings(file)
             about = member(file, SYSTEM)[:MAX_ABOUT].decode(errors="replace") if SYSTEM in file.namelist() else ""
@@ -113,6 +114,15 @@ def suspicions_about(place: str, names: frozenset[str]) -> list[str]:
         return []
     unusual = sorted(name for name in names if not _ORDINARY.match(name))
     return [f"{place} calls {name}, which was not run" for name in unusual]
+
+
+def _opened(path: Path, packed: bytes) -> ZipFile:
+    if packed.startswith(pickle.PROTO):
+        raise InputError(
+            f"{path} is a pickle, such as a replay buffer or the statistics of VecNormalize, and no policy: give the "
+            "model's zip file"
+        )
+    return ZipFile(io.BytesIO(packed))
 
 
 def _check_members(path: Path, file: ZipFile, packed: int) -> None:

@@ -1,8 +1,8 @@
 """Statistics by which `VecNormalize` scaled the observations of a policy in training."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -139,6 +139,12 @@ class Statistics:
             return self._scaled(np.asarray(observations), self.moments)
         arrays = dict(observations) if isinstance(observations, Mapping) else {}
         return arrays | {key: self._scaled(arrays[key], moments) for key, moments in self.moments.items()}
+
+    def of_part(self, part: Callable[[str, Moments], Moments]) -> Self:
+        """Return the statistics of a part of each array, whose moments are a function of its key and its moments."""
+        if isinstance(self.moments, Moments):
+            return replace(self, moments=part("", self.moments))
+        return replace(self, moments={key: part(key, moments) for key, moments in self.moments.items()})
 
     def _scaled(self, array: Array, moments: Moments) -> Singles:
         scaled = (array - moments.mean) / np.sqrt(moments.variance + self.epsilon)

@@ -151,10 +151,16 @@ class SB3Policy:
     def prepare(self, observation: Observation) -> Observation:
         """Return observations flattened and scaled as in training, arrays of shape (B, ...).
 
-        They are stacked before, if `VecNormalize` was around `VecFrameStack` in training, or else afterwards.
+        Of frames that are stacked, they are the newest one.
         """
-        seen = observation if self.view is None or self.view.kind != FLAT else self.view.flattened(observation)
-        return seen if self._stacking.scaled else self._scaled(seen)
+        statistics, stack = self._statistics, self._stacking
+        if statistics is not None and stack.scaled:
+            statistics = statistics.of_part(lambda key, moments: _newest(moments, key, stack))
+        flat = self._flat(observation)
+        return flat if statistics is None else statistics.scale(flat)
+
+    def _flat(self, observation: Observation) -> Observation:
+        return observation if self.view is None or self.view.kind != FLAT else self.view.flattened(observation)
 
     @property
     def _stacking(self) -> Stacking:
@@ -190,7 +196,9 @@ class SB3Policy:
         self, observation: Observation, state: Any, episode_start: Bools | None, noise: Floats | None
     ) -> tuple[Array, Any]:
         frames, memory = (None, None) if state is None else state
-        prepared, stack = self.prepare(mapped(np.asarray, observation)), self._stacking
+        prepared, stack = self._flat(mapped(np.asarray, observation)), self._stacking
+        if not stack.scaled:
+            prepared = self._scaled(prepared)
         if stack.frames > 1:
             newest = prepared if stack.axis is None else np.asarray(prepared)[:, None]
             prepared = frames = _stacked(newest, frames, episode_start, stack, stack.space)
@@ -289,6 +297,15 @@ def _axis(space: gymnasium.Space[Any]) -> int:
     """Return the axis along which `VecFrameStack` stacks: an image's channels if they come first, or the last."""
     shape = space.shape or ()
     return 0 if is_image_space(space) and np.argmin(shape) == 0 else len(shape) - 1
+
+
+def _newest(moments: Moments, key: str, stack: Stacking) -> Moments:
+    """Return the moments of the newest of stacked frames; `key` is that of an array in a dictionary."""
+    part = stack.space[key] if isinstance(stack.space, gymnasium.spaces.Dict) else stack.space
+    axis = _axis(part) if stack.axis is None else stack.axis - 1
+    width = moments.mean.shape[axis]
+    newest = range(width - width // stack.frames, width)
+    return Moments(moments.mean.take(newest, axis), moments.variance.take(newest, axis))
 
 
 def _stacked(

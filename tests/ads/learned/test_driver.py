@@ -114,8 +114,15 @@ def test_a_file_without_all_layers_is_refused(tmp_path):
 def test_a_file_without_a_rule_is_refused(tmp_path):
     weights, bias = random_layers((N_FEATURES, N_ACTIONS))[0]
     np.savez(tmp_path / "policy.npz", weights_0=weights, bias_0=bias)
-    with pytest.raises(InputError, match="contains no network of this package: 'decision'"):
+    with pytest.raises(InputError, match="contains no network of this package: it has no array 'decision'"):
         read_network(tmp_path / "policy.npz")
+
+
+def test_arrays_that_are_no_network_are_said_to_be_none_in_any_environment(tmp_path):
+    np.savez(tmp_path / "evaluations.npz", timesteps=np.arange(3), results=np.zeros((3, 5)))  # as EvalCallback does
+    for roadmap in (LOGICALS["lane-change"].roadmap, None):
+        with pytest.raises(InputError, match=r"evaluations\.npz contains no network of this package"):
+            load_ads(str(tmp_path / "evaluations.npz"), roadmap)
 
 
 def test_a_rule_of_a_later_version_is_named(tmp_path):

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import pickle
 import zipfile
 from contextlib import suppress
 from opcode import opmap
@@ -25,7 +26,7 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
 )
 
-from behavexplor.ads.loading import check_name
+from behavexplor.ads.loading import check_name, load_ads
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import describe, files_of_model
 from behavexplor.ads.sb3.highway_fit import how_to_fit
@@ -164,6 +165,13 @@ def test_a_model_in_memory_that_was_trained_in_a_wrapper_is_refused(wrapped):
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
     with pytest.raises(InputError, match=f"trained in the wrapper {type(env).__name__}, which is not applied"):
         policy_of(model)
+
+
+def test_a_pickle_is_no_policy(tmp_path):
+    path = tmp_path / "buffer.pkl"
+    path.write_bytes(pickle.dumps({"observations": [0.0]}))
+    with pytest.raises(InputError, match="is a pickle, such as a replay buffer or the statistics of VecNormalize"):
+        load_ads(str(path), None)
 
 
 @pytest.mark.parametrize("wrapper", [VecNormalize, lambda env: VecFrameStack(env, 2)], ids=["statistics", "frames"])

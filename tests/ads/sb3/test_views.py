@@ -81,6 +81,11 @@ def test_frames_are_joined_as_by_vec_frame_stack(tmp_path):
         action, state = policy.predict(frames[:, :, 5 * i : 5 * i + 5], state, np.array([i == 0]))
     plain = load_policy(tmp_path / "model.zip")
     assert action == plain.predict(frames)[0]
+    newest = env.normalize_obs(frames)[:, :, 10:]
+    np.testing.assert_allclose(policy.prepare(frames[:, :, 10:]), newest, rtol=1e-6)
+    (tmp_path / "model.yaml").write_text("frame_stack: 3")
+    said = load_policy(tmp_path / "model.zip")
+    np.testing.assert_allclose(said.prepare(frames[:, :, 10:]), newest, rtol=1e-6)
 
 
 def test_frames_that_are_flattened_must_be_said(tmp_path):
