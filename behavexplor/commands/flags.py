@@ -1,7 +1,7 @@
 """What flags of several commands have in common, and flags that are made of the fields of a configuration.
 
-The help text of a flag is in the docstring of its command's function, or of the configuration (`CampaignConfig`,
-`Target`) that it is a field of.
+The help text of a flag is in the docstring of its command's function, or of the dataclass that it is a field of: a
+group of flags (such as `Running` here), or the configuration (`CampaignConfig`, `Target`).
 """
 
 import re
