@@ -60,6 +60,8 @@ def brief(value: object) -> str:
         return f"{value!r:.80}"
     except (ValueError, RecursionError):  # an integer with thousands of digits, or deeply nested lists
         return f"a {type(value).__name__} that is too long to be shown"
+    except Exception:  # its own `__repr__` raises
+        return f"a {type(value).__name__} that cannot be shown"
 
 
 def missing_library(what: str, library: str | None, extra: str) -> InputError:

@@ -15,10 +15,10 @@ from behavexplor.campaign.opening import opened
 
 ROOT = Path(behavexplor.__file__).parent
 LIMITS = {  # with room for what is to come
-    "modules": 330,
-    "lines": 50_000,
-    "import lines, % of code": 13,
-    "modules with one importer, %": 20,
+    "modules": 300,
+    "lines": 50_500,
+    "import lines, % of code": 12.5,
+    "modules with one importer, %": 15,
     "modules under 40 lines of code, %": 15,
     "lines of code of the longest function": 45,
     "modules that define Floats": 1,

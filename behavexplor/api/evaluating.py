@@ -174,9 +174,14 @@ def listed(policies: str | Path | Mapping[str, Mapping[str, Any]]) -> dict[str, 
     else:
         found = read_yaml(path)
     for name, entry in found.items():
-        if not (isinstance(entry, Mapping) and "ads" in entry and re.fullmatch(r"\w[\w.-]*", name)):
+        if not (isinstance(entry, Mapping) and "ads" in entry):
             raise InputError(
                 f"{policies}: expected drivers by name, each with its `ads`, as in careful: {{ads: careful}}"
+            )
+        if not (isinstance(name, str) and re.fullmatch(r"\w[\w.-]*", name)):
+            raise InputError(
+                f"{policies}: the name {name!r:.80} becomes that of a folder, and must consist of letters, digits, _, "
+                "- and dots, beginning with a letter, digit or _"
             )
     if not found:
         raise InputError(f"{policies} has no policy")

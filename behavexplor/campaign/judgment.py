@@ -21,13 +21,13 @@ import numpy as np
 
 from behavexplor.behavior.features import ATTRIBUTES, known_states, state_matrix
 from behavexplor.campaign.confirmation import Confirmation, difference, keep
-from behavexplor.campaign.record import ENCODED, ERROR, lines_of
+from behavexplor.campaign.record import ENCODED, ERROR, Record, lines_of
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.scenario import LogicalScenario, draws
 from behavexplor.data.trace import Trace
 from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
-from behavexplor.errors import InputError, sentence
+from behavexplor.errors import InputError, brief, sentence
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.evaluator import EXECUTE, ORIGINAL
 from behavexplor.execution.executor import MOST_WORKERS, ADSError, Executor, in_order
@@ -107,7 +107,7 @@ class Repetition:
     """The outcome of running an execution again.
 
     Attributes:
-        reproduced: whether it was the same again, to the last bit.
+        reproduced: whether it was the same again, to the last bit, and its record says what its trace shows.
         words: the outcome as a sentence.
     """
 
@@ -124,9 +124,29 @@ def repeat_execution(executor: Executor, execution: Execution) -> Repetition:
             words = f"running it again, the ADS failed in the same way{error.place}"
             return Repetition(True, f"The failure was reproduced: {words}.")
         return Repetition(False, sentence(f"The execution was NOT reproduced: running it again, {error}"))
-    if Trace.from_bytes(again).to_bytes() != execution.load_trace().to_bytes():
+    data = execution.load_trace().to_bytes()
+    if Trace.from_bytes(again).to_bytes() != data:
         return Repetition(False, "The execution was NOT reproduced: running it again gave a different trace.")
+    if apart := _misjudged(execution.record, judgment(data, None, SPECS)):
+        words = f"running it again gave the same trace, but its record says {apart}, as this version judges the trace"
+        return Repetition(False, sentence(f"The record is NOT that of the execution: {words}."))
     return Repetition(True, "The execution was reproduced: running it again gave the same trace.")
+
+
+def _misjudged(record: Record, found: Judgment) -> str:
+    """Return what a record says otherwise than the judgment of its trace, in words; empty if nothing.
+
+    Specs of users are left out, because their code is not run for this.
+    """
+    ours = {ERROR, *(spec.name for spec in SPECS)}
+    said: dict[str, Any] = {"end": record.end, "violated": [name for name in record.violated if name in ours]}
+    true: dict[str, Any] = {"end": found.end, "duration": found.duration, "violated": [*found.verdict.violated]}
+    said |= {} if record.duration is None else {"duration": record.duration}
+    if ours.issuperset(record.violated):  # else, class and fault can be by a spec of a user
+        said |= {"class": record.violation_class, "fault": record.fault}
+        true |= {"class": found.violation_class, "fault": found.fault}
+    differing = [name for name, value in said.items() if value != true[name]]
+    return ", ".join(f"{name} {brief(said[name])} instead of {true[name]!r}" for name in differing)
 
 
 def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Iterator[Confirmation]:

@@ -18,11 +18,12 @@ from typing import Any, Final
 from platformdirs import user_state_path
 
 from behavexplor.ads.loading import IN_MEMORY, is_shipped
+from behavexplor.ads.sb3.archive import MAX_BYTES
 from behavexplor.ads.sb3.description import files_of_model, is_policy
 from behavexplor.campaign.config import CONFIG, CampaignConfig, StoredConfig, campaign_config
 from behavexplor.data.named_code import Code, attribute_code, env_code, traffic_code
 from behavexplor.data.target import CheckedTarget, check_digests
-from behavexplor.data.untrusted import parse_yaml
+from behavexplor.data.untrusted import parse_yaml, read_file
 from behavexplor.errors import InputError
 from behavexplor.execution.checked_imports import digests_of, import_checked, source_files
 from behavexplor.fuzz.methods import SHIPPED
@@ -67,7 +68,8 @@ class Claim:
     def digests(self, *parts: Sequence[Code]) -> tuple[dict[str, str], list[str]]:
         """Return the digests of all modules, and for each part of the code that of the folder with this part."""
         modules = digests_of(one.module for one in self.code)
-        read = [(path.name, hashlib.sha256(path.read_bytes()).hexdigest()) for path in files_of_model(self.policy)]
+        files = files_of_model(self.policy)
+        read = [(path.name, hashlib.sha256(read_file(path, MAX_BYTES)).hexdigest()) for path in files]
         return modules, [digest_of(self.values, _of(modules, part), read) for part in parts]
 
 

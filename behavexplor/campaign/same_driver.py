@@ -8,12 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from behavexplor.ads.sb3.archive import MAX_BYTES
 from behavexplor.ads.sb3.description import files_of_model
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.identity import NOTE, Identity, begun_with, changes
 from behavexplor.campaign.provenance import ADS, AcceptedConfig, Consent, accepted, code_of
 from behavexplor.campaign.store import Store
 from behavexplor.data.named_code import Code
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.execution.checked_imports import digests_of
 from behavexplor.execution.fingerprint import library_versions
@@ -40,7 +42,7 @@ def driver_digests(ads: str, code: Iterable[Code]) -> dict[str, str]:
     path = Path(ads)
     files = [path] if path.is_file() and path.suffix == ".npz" else files_of_model(ads)
     try:
-        found = {one.name: hashlib.sha256(one.read_bytes()).hexdigest() for one in files}
+        found = {one.name: hashlib.sha256(read_file(one, MAX_BYTES)).hexdigest() for one in files}
     except OSError as error:
         raise InputError(f"{error.filename} cannot be read: {error.strerror}") from None
     modules = digests_of(one.module for one in code)

@@ -24,13 +24,15 @@ MAX_ARRAY_BYTES: Final = 200_000_000  # unpacked size of all arrays in an npz fi
 MAX_FILE_BYTES: Final = 100_000_000  # size of a file that is read as a whole, unless a reader says otherwise
 
 _GZIP: Final = 31  # tells zlib that data has the header of gzip
+_MERGE: Final = "tag:yaml.org,2002:merge"  # of the key `<<`
 _INTEGER: Final = "tag:yaml.org,2002:int"
 
 
 def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) -> bytes:
     """Return the contents of a file of at most `most` bytes.
 
-    It may be a pipe only if a user names it (`pipes`): one in a folder of someone else would be waited for without end.
+    A pipe would be waited for without end. With `pipes`, for a file that a user names, it may be one that the process
+    was started with, such as /dev/stdin or that of a shell's `<(...)`.
 
     Raises:
         InputError: if it is not a regular file, or too large.
@@ -38,7 +40,8 @@ def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) ->
     """
     status = path.stat()
     is_file = stat.S_ISREG(status.st_mode)
-    if not (pipes or is_file or stat.S_ISDIR(status.st_mode)):  # opening a folder says what it is
+    is_given = pipes and path.is_relative_to("/dev")
+    if not (is_given or is_file or stat.S_ISDIR(status.st_mode)):  # opening a folder says what it is
         raise InputError(f"{path} is not a regular file")
     data = b""
     if not (is_file and status.st_size > most):
@@ -55,7 +58,7 @@ def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> An
     """Return the value of a YAML document.
 
     Raises:
-        ValueError: if the text is not YAML, or its value would become too large or too deep.
+        ValueError: if the text is not YAML, has a key twice, or its value would become too large or too deep.
     """
     try:
         making = loader(text)
@@ -79,6 +82,7 @@ def _extent(node: yaml.Node, known: dict[int, tuple[int, int]]) -> tuple[int, in
     if node.tag == _INTEGER and len(node.value) > MAX_DIGITS:
         raise ValueError("an integer in it is too long")
     if id(node) not in known:
+        _check_keys(node)
         known[id(node)] = (0, MAX_DEPTH)  # found if the node contains itself, and too deep then
         extents = [_extent(child, known) for child in _children(node)]
         depth = 1 + max((deep for _, deep in extents), default=0)
@@ -86,6 +90,18 @@ def _extent(node: yaml.Node, known: dict[int, tuple[int, int]]) -> tuple[int, in
             raise ValueError("its values are nested too deeply")
         known[id(node)] = (1 + sum(count for count, _ in extents), depth)
     return known[id(node)]
+
+
+def _check_keys(node: yaml.Node) -> None:
+    """Refuse a mapping that has a key twice: the loader would keep the last one."""
+    keys = [key for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
+    seen = set()
+    for key in keys:
+        if not isinstance(key, yaml.ScalarNode) or key.tag == _MERGE:
+            continue
+        if (key.tag, key.value) in seen:
+            raise ValueError(f"the key {key.value!r:.80} stands twice, again in line {key.start_mark.line + 1}")
+        seen.add((key.tag, key.value))
 
 
 def _children(node: yaml.Node) -> list[yaml.Node]:

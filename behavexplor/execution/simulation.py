@@ -1,6 +1,7 @@
 """Simulations: one ADS in one environment, which turn concrete scenarios into traces."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from numbers import Real
 from typing import Any, Final
 
 import gymnasium
@@ -29,11 +30,25 @@ from behavexplor.envs.making import (
     make_registered,
     make_vector_env,
 )
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, brief, described, place_of
 from behavexplor.execution.drawn_actions import DrawnActions
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all, run_episodes
 
 FILE, MODULE, MEMORY = "file", "module", "memory"  # where the ADS of a simulation comes from
+_MISSING: Final = object()
+_METHOD: Final = (Callable, "a method")
+_NUMBER: Final = (Real, "a number")
+_ATTRIBUTES: Final[Mapping[str, tuple[Any, str]]] = {  # by name: the kind of what a driver declares, and its words
+    "observation": (Mapping, "a mapping, such as {'type': 'Kinematics'}"),
+    "action": (Mapping, "a mapping, such as {'type': 'DiscreteMetaAction'}"),
+    "policy_frequency": _NUMBER,
+    "simulation_frequency": _NUMBER,
+    "env_config": (Mapping, "a mapping, such as {'lanes_count': 3}"),
+    "fitted": _METHOD,
+    "seeing": _METHOD,
+    "noise": _NUMBER,
+    **dict.fromkeys(("observation_space", "action_space", "vectorized", "log"), (object, "anything")),
+}
 _KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": {"type": "DiscreteMetaAction"}})
 
 
@@ -76,6 +91,7 @@ class Simulation:
         roadmap = None if is_theirs else logical_scenario(env).roadmap
         self.source = _source(ads)  # where the ADS comes from: `FILE`, `MODULE` or `MEMORY`
         self.ads: Any = load_ads(ads, roadmap, trust, activation) if isinstance(ads, str) else ads
+        _check_attributes(self.ads)
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if is_theirs else {}
         given = dict(env_config or {})
@@ -86,16 +102,16 @@ class Simulation:
             ignored = ignored_keys(env, {key: value for key, value in whole.items() if key not in kept})
             trained, given = ({k: v for k, v in one.items() if k not in ignored} for one in (trained, given))
         if is_theirs and hasattr(self.ads, "fitted"):
-            given = self.ads.fitted({**default_config(env), **given})
+            given = _answer(self.ads, "fitted", "keys", {**default_config(env), **given})
         self.env = make_env(env, {**declared, **trained, **given}, traffic, render_mode)
         if hasattr(self.ads, "seeing"):
-            self.ads = self.ads.seeing(self.env.observation_space, self.env.action_space)
+            self.ads = _answer(self.ads, "seeing", "predict", self.env.observation_space, self.env.action_space)
         self.logical = logical_of(self.env, env)
         self.plain = ""  # why the environment cannot run in lock-step, once this is known; empty if it can
         self.stochastic = stochastic  # whether the ADS draws its actions
         self._single: LockStep | None = None
         if stochastic and not getattr(self.ads, "noise", 0):
-            raise InputError(f"The driver {ads!r} cannot draw its actions: leave out --stochastic")
+            raise InputError(f"The driver {brief(ads)} cannot draw its actions: leave out --stochastic")
         is_asked = is_theirs and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
         # whether a configuration for the policy was found, where one is needed
         self.is_configured = not is_asked or env_config is not None or has_own_config(env)
@@ -181,6 +197,30 @@ class Simulation:
         except InputError as error:
             self.plain = str(error)
             return None
+
+
+def _check_attributes(ads: Any) -> None:
+    """Refuse attributes of a driver that are of the wrong kind or cannot be looked at; they can be anything."""
+    for name, (kind, words) in _ATTRIBUTES.items():
+        try:
+            value = getattr(ads, name, _MISSING)
+        except Exception as error:  # a property can raise anything
+            raise InputError(f"The driver's {name} cannot be looked at: {described(error)}{place_of(error)}") from error
+        if value is not _MISSING and not isinstance(value, kind):
+            raise InputError(f"The driver's {name} must be {words}, got {brief(value)}")
+
+
+def _answer(ads: Any, method: str, needed: str, *arguments: Any) -> Any:
+    """Return what a method of a driver returns, which must have an attribute."""
+    try:
+        found = getattr(ads, method)(*arguments)
+    except InputError:
+        raise
+    except Exception as error:  # its code can raise anything
+        raise InputError(f"The driver's {method} failed: {described(error)}{place_of(error)}") from error
+    if not hasattr(found, needed):
+        raise InputError(f"The driver's {method} must return what has {needed}, got {brief(found)}")
+    return found
 
 
 def _check_traffic(ads: Any, trained: Mapping[str, Any], given: Mapping[str, Any]) -> None:

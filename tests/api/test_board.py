@@ -93,10 +93,17 @@ def test_the_list_in_docs_has_every_policy():
     assert {*shipped, "rule", "idm", "careful"} < listed_drivers
 
 
-@pytest.mark.parametrize("given", [{}, {"a": {"env": "x"}}, {"../a": {"ads": "idm"}}, {"a": "idm"}])
+@pytest.mark.parametrize("given", [{}, {"a": {"env": "x"}}, {"a": "idm"}])
 def test_what_names_no_drivers_is_refused(given):
     with pytest.raises(InputError, match=r"has no policy|expected drivers by name"):
         listed(given)
+
+
+@pytest.mark.parametrize("name", ["../a", "a\x1b[2J", "", "a b", ".a", 7])
+def test_a_name_that_is_none_of_a_folder_is_said(name):
+    with pytest.raises(InputError, match=r"the name .* becomes that of a folder, and must consist of letters") as said:
+        listed({"b": {"ads": "idm"}, name: {"ads": "idm"}})
+    assert str(said.value).isprintable()
 
 
 def test_trust_counts_only_if_the_user_gives_it(tmp_path):

@@ -1,10 +1,14 @@
 """Judging in other processes gives the same records as judging in the campaign's own."""
 
+import json
+import re
 import subprocess
 import sys
 import time
 from concurrent.futures import Future
 from contextlib import closing
+from dataclasses import replace
+from itertools import repeat
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,13 +18,14 @@ from behavexplor.behavior.features import state_matrix
 from behavexplor.campaign import opening
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.judgment import Judges, judged, judgment
+from behavexplor.campaign.judgment import Judges, judged, judgment, repeat_execution
 from behavexplor.campaign.opening import opened
-from behavexplor.campaign.store import Store
+from behavexplor.campaign.record import Record
+from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.messages import packed, unpacked
-from behavexplor.judge.specs import SPECS
+from behavexplor.judge.specs import SPECS, judge
 from tests.fakes import LOGICAL, simulate
 
 ARE_READY = Judges.are_ready
@@ -206,3 +211,31 @@ def test_a_long_campaign_that_is_killed_ends_as_any_other(tmp_path):
         for first, second in zip(one.executions(), other.executions(), strict=True):
             assert (first.record, first.trace) == (second.record, second.trace)
         assert len(one) == 1600
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, ""),
+        (
+            {"violated": (), "violation_class": None, "fault": None},
+            r"violated \[\] instead of \['collision'.*, class None",
+        ),
+        ({"fault": "?"}, "fault '\\?' instead of "),
+        ({"end": "?"}, "end '\\?' instead of "),
+        ({"duration": 1.0}, "duration 1.0 instead of "),
+        ({"error": {"kind": "raised", "message": ""}, "violated": ("error",)}, r"violated \['error'\] instead of"),
+        ({"violated": ("collision", "my_spec"), "violation_class": "mine"}, ""),  # whose code is not run
+        ({"violated": ("my_spec",), "violation_class": "mine"}, r"violated \[\] instead of \['collision'"),
+    ],
+)
+def test_a_record_is_compared_with_the_judgment_of_its_trace(change, words):
+    scenarios = map(LOGICAL.sample, repeat(np.random.default_rng(1), 1000))
+    scenario = next(one for one in scenarios if judge(simulate(one)).violated == ("collision",))
+    data = simulate(scenario).to_bytes()
+    written = json.loads(f"{{{','.join(judgment(data, None, SPECS).lines)}}}")
+    record = Record.from_json(json.dumps({"id": 0, "scenario": scenario.to_dict(), **written}))
+    again = SimpleNamespace(submit=lambda *_: done(data))
+    found = repeat_execution(again, Execution(replace(record, **change), data, 0.0))
+    assert found.reproduced == (not words)
+    assert not words or re.search(f"The record is NOT that of the execution: .* says {words}", found.words)

@@ -3,11 +3,14 @@
 import ast
 import os
 import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import behavexplor
+from behavexplor.campaign.config import read_yaml
+from behavexplor.commands.fuzz import read_known_classes
 from behavexplor.data.durable import check_file, folder_in, new_file, write_durably, write_given
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
@@ -82,6 +85,14 @@ def test_what_is_read_is_a_file_of_a_size(tmp_path):
         read_file(Path("/dev/zero"))
     with pytest.raises(InputError, match="/dev/zero has more than 100 bytes"):
         read_file(Path("/dev/zero"), 100, pipes=True)
+    for read in (partial(read_file, pipes=True), read_yaml, read_known_classes):  # what a user names, too
+        with pytest.raises(InputError, match="pipe is not a regular file"):
+            read(tmp_path / "pipe")
+    ours, theirs = os.pipe()
+    os.write(theirs, b"env: lane-follow")
+    os.close(theirs)
+    assert read_yaml(Path(f"/dev/fd/{ours}")) == {"env": "lane-follow"}
+    os.close(ours)
     with (tmp_path / "large").open("wb") as file:
         file.truncate(10**12)
     with pytest.raises(InputError, match="has more than 100000000 bytes, which are not read"):

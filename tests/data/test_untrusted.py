@@ -24,6 +24,8 @@ def test_plain_values_are_read():
     values = {"seed": 3, "env": "lane-follow", "share": 0.5, "budget": 90, "limit": 16, "names": ["a", "b"]}
     assert parse_yaml(text) == values
     assert parse_yaml("") is None
+    assert parse_yaml("a: &a {x: 1}\nb: &b {y: 2}\nc: {<<: *a, <<: *b, x: 3}")["c"] == {"x": 3, "y": 2}
+    assert parse_yaml("a: {x: 1}\nb: {x: 1}\n1: a\n'1': b") == {"a": {"x": 1}, "b": {"x": 1}, 1: "a", "1": "b"}
 
 
 @pytest.mark.parametrize(
@@ -35,6 +37,8 @@ def test_plain_values_are_read():
         ("[" * (MAX_DEPTH + 1) + "]" * (MAX_DEPTH + 1), "nested too deeply"),
         ("&a [*a]", "nested too deeply"),
         (f"- &a [{', '.join('x' * 400)}]\n- [{', '.join(['*a'] * (MAX_NODES // 400))}]", "aliases make it too large"),
+        ("budget: 3\nenv: lane-follow\nbudget: 30", "the key 'budget' stands twice, again in line 3"),
+        ("a: [{'x': 1, \"x\": 2}]", "the key 'x' stands twice, again in line 1"),
         ("a: !!python/object:os.system {}", "could not determine a constructor"),
     ],
 )

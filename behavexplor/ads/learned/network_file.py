@@ -12,6 +12,7 @@ from behavexplor.errors import InputError
 
 Rule = Literal["mean", "most probable"]  # how a policy decides when it does not draw
 RULES: Final[tuple[Rule, ...]] = get_args(Rule)
+DIVERGED: Final = "has weights that are NaN or infinite, as after a training that diverged: give an earlier one"
 
 Layers = list[tuple[Floats, Floats]]
 
@@ -45,6 +46,8 @@ def read_network(path: Path) -> TrainedNetwork:
         raise InputError(f"{path} contains no network of this package: weights and biases must be floats")
     if any((weights.ndim, bias.ndim) != (2, 1) for weights, bias in layers):
         raise InputError(f"{path} contains no network of this package: weights must be matrices, and biases vectors")
+    if not all(np.isfinite(array).all() for layer in layers for array in layer):
+        raise InputError(f"{path} {DIVERGED}")
     for known in RULES:
         if rule == known:
             return TrainedNetwork([(w.astype(np.float64), b.astype(np.float64)) for w, b in layers], known)

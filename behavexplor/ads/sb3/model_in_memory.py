@@ -24,6 +24,7 @@ from stable_baselines3.common.vec_env import (
     VecVideoRecorder,
 )
 
+from behavexplor.ads.learned.network_file import DIVERGED
 from behavexplor.ads.sb3.building import new_policy
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, Description
 from behavexplor.ads.sb3.normalization import Moments, Statistics
@@ -66,7 +67,7 @@ def policy_of(model: BaseAlgorithm) -> SB3Policy:
 
     Raises:
         InputError: if the environment has a wrapper that is known to change them, and is not applied in a campaign, or
-            two of a kind.
+            two of a kind; or if weights are not finite.
     """
     wrappers = list(_wrappers(model.get_env()))
     _check_wrappers([*wrappers, *_single_wrappers(model.get_env())])
@@ -109,6 +110,8 @@ def _copied(model: BaseAlgorithm) -> BasePolicy:
         spaces = (model.observation_space, model.action_space)
         network = new_policy(model.policy_class, *spaces, model.policy_kwargs, use_sde=model.use_sde)
     network.load_state_dict(model.policy.state_dict())
+    if not all(weights.isfinite().all() for weights in network.parameters()):
+        raise InputError(f"The model {DIVERGED}")
     network.set_training_mode(False)
     return network
 

@@ -33,7 +33,7 @@ def as_array(value: Any) -> Array:
         raise ValueError(f"expected an array, got {type(value).__name__}")  # noqa: TRY004 - it comes from a file
     try:
         return _decoded(value)
-    except (TypeError, KeyError, IndexError, AttributeError) as error:
+    except (TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
         raise ValueError(f"an array that cannot be read: {error}") from None
 
 

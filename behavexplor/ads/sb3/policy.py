@@ -14,6 +14,7 @@ import numpy as np
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.preprocessing import is_image_space
 
+from behavexplor.ads.learned.network_file import DIVERGED
 from behavexplor.ads.sb3.archive import Archive, read_archive
 from behavexplor.ads.sb3.blocks import BlockwiseNetwork, noise_of
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
@@ -76,7 +77,6 @@ def _said(frames: int, shape: tuple[int, ...], wrapper: str) -> str:
     )
 
 
-DIVERGED: Final = "has weights that are not numbers (NaN), as after a training that diverged: give an earlier one"
 _LOG = logging.getLogger(__name__)
 _MASKED: Final = "sb3_contrib.common.maskable."  # the module of policies that take masks of actions
 
@@ -230,17 +230,17 @@ def load_network(archive: Archive, trust: Collection[str] = ()) -> BasePolicy:
     Raises:
         InputError: if it can be built only by executing code from a file that is not trusted.
     """
-    if archive.digest in trust:
-        return build_trusted(archive)
-    _warn(archive.path, archive.suspicions)
+    is_trusted = archive.digest in trust
+    if not is_trusted:
+        _warn(archive.path, archive.suspicions)
     try:
-        network = build_policy(archive)
+        network = build_trusted(archive) if is_trusted else build_policy(archive)
     except UntrustedError as error:
         raise InputError(
             f"{archive.path} cannot be loaded without running code from it: {error}. "
             f"If you trust its origin, add --trust {archive.digest}"
         ) from None
-    if any(weights.isnan().any() for weights in network.parameters()):
+    if not all(weights.isfinite().all() for weights in network.parameters()):
         raise InputError(f"{archive.path} {DIVERGED}")
     return network
 

@@ -90,6 +90,14 @@ class ActingNetwork:
         """Number of its weights."""
         return int(sum(np.prod(one.weight.shape) for one in (*self.layers, *self.value)))
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether its weights are finite numbers of the type float32, by which it decides."""
+        layers = (*self.layers, *self.value, *self.deviation)
+        arrays = [self.log_std, *(array for layer in layers for array in (layer.weight, layer.bias))]
+        with np.errstate(over="ignore"):  # a greater number becomes infinite
+            return all(np.isfinite(array.astype(np.float32)).all() for array in arrays if array is not None)
+
     def __str__(self) -> str:
         """Return the numbers of inputs and outputs, such as "25-256-256-5", for messages."""
         dense = _widths([one for one in self.layers if one.kind == DENSE])

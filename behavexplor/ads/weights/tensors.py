@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from math import prod
 from pathlib import Path
@@ -25,11 +25,27 @@ _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
     {"Float": "<f4", "Double": "<f8", "Half": "<f2", "BFloat16": "<u2", "Long": "<i8", "Int": "<i4"}
     | {"Short": "<i2", "Char": "<i1", "Byte": "<u1", "Bool": "<u1"}
 )
-_OF_SAFETENSORS: Final[Mapping[str, str]] = MappingProxyType({"F32": "Float", "F64": "Double", "F16": "Half"})
+_OF_SAFETENSORS: Final[Mapping[str, str]] = MappingProxyType(
+    {"F32": "Float", "F64": "Double", "F16": "Half", "BF16": "BFloat16"}
+)
+_INTEGERS: Final = re.compile(r"[IU]\d+|BOOL")  # types of safetensors
 MAX_HEADER: Final = 5_000_000  # greatest size of the header of safetensors
 MAX_MEMBERS: Final = 20_000  # members of a file of torch, which has one for each tensor
 _MEMBER: Final = b"PK\x01\x02"  # begins the entry of a member
 _OPTIMIZER: Final = re.compile(r"optim(?!al)")
+_WEIGHTS: Final = re.compile(r"(weight|bias)$")  # ends the names of numbers that a layer multiplies or adds
+_REBUILT: Final = re.compile(r"torch\.(?:_utils|_tensor)\._rebuild_(\w+)")  # calls that make tensors
+_UNTYPED: Final = "Untyped"  # storages of recent types, which stand beside them
+_PARAMETERS: Final = ("parameter", "parameter_with_state")
+_DENSE: Final = ("tensor", "tensor_v2", "tensor_v3")
+_OTHER_FORMS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "qtensor": "quantized",
+        "sparse_tensor": "sparse",
+        "nested_tensor": "nested",
+        "meta_tensor_no_storage": "without numbers, on the device meta",
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -95,7 +111,7 @@ def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
         content, called = PickleReader().read(member(file, f"{root}data.pkl"))
         storages = _Storages(file, root)
         entries = list(_entries(content))
-        arrays = {name: storages.tensor(one) for name, one in entries if _is_tensor(one)}
+        arrays = {name: storages.tensor(path, name, one) for name, one in _tensors(path, entries)}
     if not arrays:
         raise InputError(_without_tensors(path, content, entries))
     suspicions = tuple(suspicions_about("its pickle", called))
@@ -129,11 +145,34 @@ def _entries(content: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, An
         waiting += reversed(inner)
 
 
-def _is_tensor(value: Any) -> bool:
-    return isinstance(value, Inert) and value.name.startswith(("torch._utils._rebuild_tensor", _PARAMETER))
+def _tensors(path: Path, entries: Iterable[tuple[str, Any]]) -> Iterator[tuple[str, Inert]]:
+    """Yield the dense tensors among entries, by name. One of another form is refused, also in a list of an entry."""
+    for name, value in entries:
+        for one in value if isinstance(value, list | tuple) else (value,):
+            tensor, form = _form(one)
+            if form is not None and form not in _DENSE:
+                raise _unread(path, name, _OTHER_FORMS.get(form, f"of another form ({form})"))
+            if one is value and form is not None:
+                yield name, tensor
 
 
-_PARAMETER: Final = "torch._utils._rebuild_parameter"
+def _form(value: Any) -> tuple[Any, str | None]:
+    """Return a tensor without the parameter that it may be in, and the call that makes it; None if it is no tensor."""
+    form = None
+    while isinstance(value, Inert) and (found := _REBUILT.fullmatch(value.name)):
+        form = found[1]
+        if form not in _PARAMETERS:
+            break
+        value = value.arguments[0]
+    return value, form
+
+
+def _unread(path: Path, name: str, form: str) -> InputError:
+    """Return the refusal of a tensor: without it, a network would lack a layer."""
+    return InputError(
+        f"{path} has the tensor {name!r:.80}, which is {form}, and only dense floats are read: save a copy of its "
+        "weights as dense tensors of torch.float32"
+    )
 
 
 class _Storages:
@@ -143,17 +182,18 @@ class _Storages:
         self._file, self._root = file, root
         self._read: dict[str, bytes] = {}
 
-    def tensor(self, made: Inert) -> Array:
+    def tensor(self, path: Path, name: str, made: Inert) -> Array:
         """Return the array of a tensor, which shares the memory of its numbers."""
-        if made.name.startswith(_PARAMETER):
-            made = made.arguments[0]
         storage, offset, shape, strides = made.arguments[:4]
         _, kind, key, *_ = storage
         if not (isinstance(kind, Name) and isinstance(key, str)):
             raise ValueError("a tensor in it has no numbers")  # noqa: TRY004 - it comes from a file
+        of, typed = kind.name.rpartition(".")[2].removesuffix("Storage"), made.arguments[6:7]
+        if of not in _DTYPES or (_WEIGHTS.search(name) and np.dtype(_DTYPES[of]).kind != "f" and of != "BFloat16"):
+            raise _unread(path, name, f"of the type {typed[0].name if of == _UNTYPED else of}")
         if key not in self._read:
             self._read[key] = member(self._file, f"{self._root}data/{key}")
-        numbers = np.frombuffer(self._read[key], _DTYPES[kind.name.rpartition(".")[2].removesuffix("Storage")])
+        numbers = np.frombuffer(self._read[key], _DTYPES[of])
         if not all(type(one) is int and one >= 0 for one in (offset, *shape, *strides)):
             raise ValueError("a tensor in it has a wrong shape")
         last = offset + sum((count - 1) * stride for count, stride in zip(shape, strides, strict=True))
@@ -163,7 +203,7 @@ class _Storages:
             return np.zeros(shape, np.float32)
         steps = [stride * numbers.itemsize for stride in strides]
         found = np.lib.stride_tricks.as_strided(numbers[offset:], shape, steps, writeable=False)
-        return _widened(found) if kind.name.endswith("BFloat16Storage") else found
+        return _widened(found) if of == "BFloat16" else found
 
 
 def _widened(halves: Array) -> Array:
@@ -176,15 +216,22 @@ def _of_safetensors(path: Path, data: bytes) -> Mapping[str, Array]:
     if int.from_bytes(data[:8], "little") > MAX_HEADER:
         raise InputError(f"{path} is not a file of safetensors, or has a header that no policy needs")
     try:
-        found = deserialize(data)  # type: ignore[no-untyped-call]
-    except SafetensorError as error:
+        arrays = dict(_safe_arrays(path, deserialize(data)))  # type: ignore[no-untyped-call]
+    except InputError:
+        raise
+    except (SafetensorError, ValueError, OverflowError) as error:  # numpy raises the last two for extreme shapes
         raise InputError(f"{path} is not a file of safetensors, or is damaged: {error}") from None
-    floats = {name: one for name, one in found if one["dtype"] in (*_OF_SAFETENSORS, "BF16")}
-    if not floats:
+    if not arrays:
         raise InputError(f"{path} holds no tensors of a network: save its weights by safetensors.torch.save_model")
-    arrays = {}
-    for name, one in floats.items():
-        kind = _OF_SAFETENSORS.get(one["dtype"], "BFloat16")
-        array = np.frombuffer(one["data"], _DTYPES[kind]).reshape(one["shape"])
-        arrays[name] = _widened(array) if kind == "BFloat16" else array
     return MappingProxyType(arrays)
+
+
+def _safe_arrays(path: Path, tensors: Iterable[tuple[str, Mapping[str, Any]]]) -> Iterator[tuple[str, Array]]:
+    """Yield the tensors of floats by name; those of other types are refused, but for whole numbers beside a network."""
+    for name, one in tensors:
+        kind = _OF_SAFETENSORS.get(one["dtype"])
+        if kind is None and (_WEIGHTS.search(name) or not _INTEGERS.fullmatch(one["dtype"])):
+            raise _unread(path, name, f"of the type {one['dtype']}")
+        if kind is not None:
+            array = np.frombuffer(one["data"], _DTYPES[kind]).reshape(one["shape"])
+            yield name, _widened(array) if kind == "BFloat16" else array

@@ -12,10 +12,11 @@ import gymnasium
 import numpy as np
 import torch
 
+from behavexplor.ads.learned.network_file import DIVERGED
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, Description, describe
 from behavexplor.ads.sb3.layered import LayeredPolicy, Parts
 from behavexplor.ads.sb3.normalization import Statistics
-from behavexplor.ads.sb3.policy import DIVERGED, SB3Policy
+from behavexplor.ads.sb3.policy import SB3Policy
 from behavexplor.ads.weights.layers import (
     CONVOLUTION,
     DENSE,
@@ -119,7 +120,7 @@ def load_weights(path: Path, activation: Activation | None = None) -> WeightsPol
     network = network_of(file, description)
     if lacking := missing_settings(network, description):
         raise _lacking(path, network, lacking)
-    if any(np.isnan(one.weight).any() for one in (*network.layers, *network.value)):
+    if not network.is_finite:
         raise InputError(f"{path} {DIVERGED}")
     if rest := unused(file, network):
         _LOG.warning(

@@ -152,3 +152,10 @@ def test_all_pickles_of_a_reader_together_have_a_limit():
 def test_what_is_no_array_of_numbers_is_refused(value):
     with pytest.raises(ValueError, match="array"):
         as_array(read_pickle(pickle.dumps(value))[0])
+
+
+@pytest.mark.parametrize("shape", [(0, 2**70), (5, 25, 0, 10**18), (-1, 0), (2,) * 70])
+def test_a_shape_that_no_array_has_is_refused(shape):
+    state = (1, shape, Inert("numpy.dtype", ("f8", False, True), (3, "<")), False, b"")
+    with pytest.raises(ValueError, match=r"array|dimension"):
+        as_array(Inert("numpy.core.multiarray._reconstruct", (), state))

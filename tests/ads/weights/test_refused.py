@@ -16,7 +16,10 @@ import torch
 from torch import nn
 
 import behavexplor
+from behavexplor.ads.learned.network_file import TrainedNetwork, read_network, write_network
 from behavexplor.ads.loading import load_ads
+from behavexplor.ads.sb3.archive import read_archive
+from behavexplor.ads.sb3.model_in_memory import policy_of
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.ads.weights.tensors import MAX_BYTES, read_tensors
 from behavexplor.ads.weights.weights_policy import load_weights
@@ -77,10 +80,6 @@ UNUSABLE = {
         "has normalizing layers, and only dense",
     ),
     "signals": (lambda: nn.Conv1d(5, 8, 3).state_dict(), "has one- or three-dimensional convolutional layers, and"),
-    "whole numbers": (
-        lambda: {name: array.to(torch.int8) for name, array in dense(25, 64, 5).state_dict().items()},
-        "has no floats with a name such as fc1.weight, and only dense",
-    ),
     "two": (two, r"has the networks first \(25-64-5\), second \(25-64-5\): name the one that acts as `network: first`"),
     "silent": (
         lambda: Tutorial().state_dict(),
@@ -88,6 +87,49 @@ UNUSABLE = {
     ),
     "convolutional": (lambda: FORMS["convolutional"].network().state_dict(), r"dense 256-64-5.*`strides: \[1, 1\]`"),
 }
+
+
+def with_first(first):
+    """A network whose last layer alone could drive, too; with the first layer in another form."""
+    return dense(25, 25, 5).state_dict() | {"0.weight": first}
+
+
+def quantized(rows):
+    return torch.quantize_per_tensor(torch.ones(rows, 25), 0.1, 0, torch.qint8)
+
+
+OTHER_FORMS = {
+    "quantized": (lambda: with_first(quantized(25)), "quantized"),
+    "a parameter": (lambda: with_first(nn.Parameter(quantized(25), requires_grad=False)), "quantized"),
+    "packed": (lambda: with_first((quantized(25), torch.zeros(25))), "quantized"),
+    "sparse": (lambda: with_first(torch.ones(25, 25).to_sparse()), "sparse"),
+    "sparse rows": (lambda: with_first(torch.ones(25, 25).to_sparse_csr()), "sparse"),
+    "without numbers": (lambda: with_first(torch.empty(25, 25, device="meta")), "without numbers, on the device meta"),
+    "complex": (lambda: with_first(torch.ones(25, 25, dtype=torch.complex64)), "of the type ComplexFloat"),
+    "eight bits": (lambda: with_first(torch.ones(25, 25).to(torch.float8_e4m3fn)), r"of the type torch\.float8_e4m3fn"),
+    "whole numbers": (lambda: with_first(torch.ones(25, 25, dtype=torch.int8)), "of the type Char"),
+}
+
+
+@pytest.mark.filterwarnings("ignore:Sparse CSR|torch.quantize_per_tensor|torch.ao.quantization")
+@pytest.mark.parametrize("name", OTHER_FORMS)
+def test_no_network_drives_without_a_layer_that_cannot_be_read(name, tmp_path):
+    made, form = OTHER_FORMS[name]
+    torch.save({"model": made()}, tmp_path / "weights.pth")
+    cure = "only dense floats are read: save a copy of its weights as dense tensors of torch.float32"
+    with pytest.raises(InputError, match=rf"has the tensor 'model\.0\.weight', which is {form}, and {cure}"):
+        load_weights(tmp_path / "weights.pth", "relu")
+
+
+@pytest.mark.parametrize("kind", [torch.int8, torch.float8_e4m3fn, torch.complex64])
+@pytest.mark.parametrize("name", ["0.weight", "0.bias"])
+def test_nor_does_one_of_safetensors(kind, name, tmp_path):
+    network = dense(25, 25, 5).state_dict() | {"steps": torch.tensor(3)}
+    safetensors.torch.save_file(network, tmp_path / "weights.safetensors")
+    assert str(load_weights(tmp_path / "weights.safetensors", "relu").network) == "25-25-5"
+    safetensors.torch.save_file(network | {name: network[name].to(kind)}, tmp_path / "weights.safetensors")
+    with pytest.raises(InputError, match=rf"has the tensor '{name}', which is of the type \w+, and only dense floats"):
+        load_weights(tmp_path / "weights.safetensors", "relu")
 
 
 @pytest.mark.parametrize("name", UNUSABLE)
@@ -99,16 +141,36 @@ def test_an_unusable_file_is_refused_in_one_sentence(name, tmp_path):
     assert len(str(caught.value)) < LONGEST
 
 
-def test_a_policy_that_diverged_is_refused(tmp_path):
-    network = dense(25, 64, 5)
-    network[0].weight.data[3, 4] = float("nan")
-    torch.save(network.state_dict(), tmp_path / "weights.pth")
+DIVERGED = "has weights that are NaN or infinite, as after a training that diverged: give an earlier one"
+
+
+@pytest.mark.parametrize("name", ["0.weight", "0.bias", "2.weight", "2.bias", "log_std"])
+def test_weights_that_diverged_are_refused_in_each_layer(name, tmp_path):
+    state = dense(25, 64, 5).double().state_dict() | {"log_std": torch.zeros(5, dtype=torch.float64)}
+    for number in (float("nan"), float("inf"), -1e300):  # the last is infinite in the type by which a policy decides
+        state[name].view(-1)[-1] = number
+        torch.save(state, tmp_path / "weights.pth")
+        safetensors.torch.save_file(state, tmp_path / "weights.safetensors")
+        for suffix in ("pth", "safetensors"):
+            with pytest.raises(InputError, match=rf"weights\.{suffix} {DIVERGED}"):
+                load_weights(tmp_path / f"weights.{suffix}", "relu")
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_other_policies_that_diverged_are_refused(number, tmp_path):
     model = make_model("DQN", KINEMATICS)
-    next(model.policy.parameters()).data[0] = float("nan")
+    list(model.policy.parameters())[-1].data[-1] = number
     model.save(tmp_path / "model.zip")
-    for load, name in ((lambda path: load_weights(path, "relu"), "weights.pth"), (load_policy, "model.zip")):
-        with pytest.raises(InputError, match=rf"{name} has weights that are not numbers \(NaN\), as after a training"):
-            load(tmp_path / name)
+    with pytest.raises(InputError, match=rf"model\.zip {DIVERGED}"):
+        load_policy(tmp_path / "model.zip")
+    with pytest.raises(InputError, match=rf"model\.zip {DIVERGED}"):
+        load_policy(tmp_path / "model.zip", [read_archive(tmp_path / "model.zip").digest])
+    with pytest.raises(InputError, match=rf"The model {DIVERGED}"):
+        policy_of(model)
+    biases = np.array([0.0, number])
+    write_network(tmp_path / "policy.npz", TrainedNetwork([(np.zeros((2, 3)), biases)]))
+    with pytest.raises(InputError, match=rf"policy\.npz {DIVERGED}"):
+        read_network(tmp_path / "policy.npz")
 
 
 def test_what_no_layer_uses_is_said(tmp_path, caplog):
@@ -243,6 +305,25 @@ def declared(path, _):
     return path.with_suffix(".safetensors")
 
 
+def nothing(path, _):
+    """A tensor without numbers, whose shape is too large for an array."""
+    header = json.dumps({"a": {"dtype": "F64", "shape": [5, 25, 0, 10**18], "data_offsets": [0, 0]}}).encode()
+    path.with_suffix(".safetensors").write_bytes(len(header).to_bytes(8, "little") + header)
+    return path.with_suffix(".safetensors")
+
+
+def nothing_of_torch(path, _):
+    torch.save({"a.weight": torch.zeros(5, 25, 0, 10**17)}, path)
+
+
+def nothing_of_numpy(path, _):
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (5, 25, 0, 1000000000000000000)}\n"
+    content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    with zipfile.ZipFile(path.with_suffix(".npz"), "w") as file:
+        file.writestr("weights_0.npy", content)
+    return path.with_suffix(".npz")
+
+
 def huge(path, _):
     with path.open("wb") as file:
         file.truncate(2_000_000_000)
@@ -279,6 +360,9 @@ HOSTILE = {
     many: "has more than 20000 members, which no policy needs",
     long_header: "has a header that no policy needs",
     declared: "is not a file of safetensors, or is damaged",
+    nothing: "is not a file of safetensors, or is damaged",
+    nothing_of_torch: "is not a file that torch.save writes, or is damaged",
+    nothing_of_numpy: "contains no network of this package",
     huge: f"has more than {MAX_BYTES} bytes, which are not read",
     beyond: "a tensor in it has more numbers than the file",
     endless: "is not a regular file",
@@ -322,7 +406,7 @@ def test_a_hostile_file_is_refused_at_once_and_has_no_effect(make, tmp_path):
             load_weights(path)
     else:
         with pytest.raises((InputError, OSError)):
-            load_weights(path)
+            load_weights(path, "relu")
 
 
 def test_damaged_files_are_refused(tmp_path):
