@@ -93,7 +93,8 @@ class ChangedError(InputError):
     """Functions or constants are others than those that the compiled engine was ported from."""
 
     def __init__(self, names: Sequence[str]) -> None:
-        self.reason = f"compiled engine was ported from another {', '.join(names[:3])} than the one that runs here"
+        others = ", ".join(name.removesuffix(".__class__") for name in names[:3])
+        self.reason = f"compiled engine was ported from another {others} than the one that runs here"
         super().__init__(f"The {self.reason}; use gymnasium.make_vec with vectorization_mode='sync' for the original")
 
 
