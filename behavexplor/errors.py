@@ -44,8 +44,13 @@ def described(error: BaseException) -> str:
         message = str(error)[: LONGEST + 1]
     except Exception:  # its own `__str__` raises
         message = "it has no message"
-    shown = printable(f"{type(error).__name__:.80}: {message}")
+    shown = printable(f"{_class_name(error):.80}: {message}")
     return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 4].rstrip()} ..."
+
+
+def _class_name(value: object) -> str:
+    """Return the name of an object's class, whatever its metaclass does."""
+    return str(type.__dict__["__name__"].__get__(type(value)))
 
 
 def place_of(error: BaseException) -> str:
@@ -59,9 +64,9 @@ def brief(value: object) -> str:
     try:
         return f"{value!r:.80}"
     except (ValueError, RecursionError):  # an integer with thousands of digits, or deeply nested lists
-        return f"a {type(value).__name__} that is too long to be shown"
+        return f"a {_class_name(value)} that is too long to be shown"
     except Exception:  # its own `__repr__` raises
-        return f"a {type(value).__name__} that cannot be shown"
+        return f"a {_class_name(value)} that cannot be shown"
 
 
 def missing_library(what: str, library: str | None, extra: str) -> InputError:

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from behavexplor.errors import LONGEST, InputError, printable, sentence, unknown_name
+from behavexplor.errors import LONGEST, InputError, brief, described, printable, sentence, unknown_name
 
 
 @pytest.mark.parametrize(
@@ -65,3 +65,15 @@ def test_a_message_survives_other_processes():
 )
 def test_an_unknown_name_is_told_the_nearest(name, hint):
     assert str(unknown_name("thing", name, ["rule", "lane-follow", "lane-change"])).endswith(hint)
+
+
+class Nameless(type):
+    @property
+    def __name__(cls):
+        raise ValueError
+
+
+def test_a_class_has_a_name_whatever_its_metaclass_does():
+    kind = Nameless("Odd", (Exception,), {"__repr__": lambda _: 1 / 0})
+    assert described(kind("x")) == "Odd: x"
+    assert brief(kind()) == "a Odd that cannot be shown"

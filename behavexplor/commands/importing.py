@@ -43,12 +43,14 @@ def importing(
     Args:
         file: An OpenSCENARIO XML file.
         ads: Driving system that executes the scenario, as for fuzz.
-        out: Write the scenario to this JSON file.
+        out: Write the scenario to this JSON file, a new one.
         env: Environment of the scene; needed if it belongs to another package.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         activation: Function between the layers of a policy whose file holds weights alone, as for fuzz.
     """
+    if out is not None and out.exists():
+        raise InputError(f"{out} is there already, and is kept: name another file for --out")
     check_libraries()
     from behavexplor.exchange.scene_reading import read_scene  # noqa: PLC0415 - needs the extra `scenes`
 
@@ -86,6 +88,7 @@ def _check_road(file: Path, scene: SceneFile, plan: Any) -> None:
 
     path = file.parent / scene.road_file
     if not scene.road_file or not path.is_file():
+        say(hanging("", f"The file of the scene's road is not there, so it was not compared: {path}"), file=sys.stderr)
         return
     with tempfile.TemporaryDirectory() as folder:
         own = Path(folder) / "road.xodr"

@@ -19,6 +19,8 @@ PAPERS_NAMES: Final = MappingProxyType(  # of environments
 )
 Activation = Literal["relu", "tanh", "elu", "gelu", "silu", "leaky_relu", "sigmoid", "identity"]
 LEAST_MEMORY: Final = 0.5  # [GiB]
+LEAST_TIME: Final = 0.1  # [s]
+MOST: Final = 1e9  # of either limit
 # settings on which an episode depends, beside the environment, the driver and the scenario
 OF_EPISODES: Final = ("env_config", "traffic", "stochastic", "activation")
 
@@ -53,10 +55,13 @@ class Conditions:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trust", tuple(self.trust))  # JSON has lists only
-        if not 0 < self.time_limit < 1e9:
-            raise InputError(f"time_limit {self.time_limit} must be greater than 0")
-        if not LEAST_MEMORY <= self.memory_limit < 1e9:
-            raise InputError(f"memory_limit {self.memory_limit} must be at least {LEAST_MEMORY} GiB: workers need that")
+        if not LEAST_TIME <= self.time_limit < MOST:
+            raise InputError(f"time_limit {self.time_limit} must be at least {LEAST_TIME} s and less than {MOST:g} s")
+        if not LEAST_MEMORY <= self.memory_limit < MOST:
+            raise InputError(
+                f"memory_limit {self.memory_limit} must be at least {LEAST_MEMORY} GiB, which workers need, and less "
+                f"than {MOST:g}"
+            )
         check_digests(self.trust)
 
 

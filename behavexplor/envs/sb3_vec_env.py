@@ -1,5 +1,6 @@
 """Adapters from vector environments to Stable-Baselines3, for training. Importing them imports Stable-Baselines3."""
 
+import copy
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -245,9 +246,9 @@ class HighwayVecEnv(LockStepVecEnv):
             self._monitor.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute that all sub-environments share, such as their `spec` or `config`."""
+        """Return an attribute that all sub-environments share, such as copies of their `spec` or `config`."""
         if attr_name in self._made:
-            return [self._made[attr_name] for _ in self._get_indices(indices)]
+            return [copy.deepcopy(self._made[attr_name]) for _ in self._get_indices(indices)]
         return super().get_attr(attr_name, indices)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:

@@ -109,6 +109,8 @@ def read_scene(path: Path) -> SceneFile:
     root = _parsed(path)
     facts = _properties(root.find("FileHeader"))
     scenario = _scenario(facts)
+    if scenario is not None and axes.ENV_CONFIG in facts and _config(facts[axes.ENV_CONFIG]):
+        raise InputError(f"The property {axes.ENV_CONFIG} cannot be given: {axes.SCENARIO} has the configuration")
     n_vehicles = int(facts[axes.VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(axes.VEHICLES, "")) else 0
     motions = {name: _Motion(name) for name in _names(root)}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
@@ -134,6 +136,8 @@ def read_scene(path: Path) -> SceneFile:
 def _take_act(motions: dict[str, "_Motion"], act: Element) -> None:
     begin = _start(act)
     for group in act.iterfind("ManeuverGroup"):
+        if group.get("maximumExecutionCount", "1") != "1":
+            raise _refused(group, "a maximumExecutionCount other than 1")
         actors = [_motion(motions, actor.get("entityRef"), actor) for actor in group.iterfind("Actors/EntityRef")]
         for event in group.iterfind("Maneuver/Event"):
             start = max(_start(event), begin, key=lambda one: one.time)
@@ -266,6 +270,8 @@ class _Motion:
         for follow in event.iterfind("Action/PrivateAction/RoutingAction/FollowTrajectoryAction"):
             if self.trajectory is not None:
                 raise _refused(follow, f"a second trajectory of {self.name}")
+            if follow.get("initialDistanceOffset") is not None and _number(follow, "initialDistanceOffset") != 0:
+                raise _refused(follow, "an initialDistanceOffset")
             self.trajectory = _rows(follow, start)
         driving = event.find("Action/PrivateAction/RoutingAction/AssignRouteAction/Route")
         for place in () if driving is None else driving.iterfind("Waypoint/Position/WorldPosition"):
@@ -311,6 +317,8 @@ def _rows(follow: Element, start: _Start) -> Floats:
     vertices = [] if trajectory is None else list(trajectory.iterfind("Shape/Polyline/Vertex"))
     if timing is None or not vertices:
         raise _refused(follow, "a trajectory that is not a polyline with times")
+    if trajectory.get("closed", "false") not in ("false", "0"):
+        raise _refused(follow, "a closed trajectory")
     rows = np.array([[_number(vertex, "time"), *_pose(_one(vertex, "Position/WorldPosition"))] for vertex in vertices])
     with np.errstate(over="ignore", invalid="ignore"):  # such times are refused below
         rows[:, 0] = rows[:, 0] * _number(timing, "scale") + _number(timing, "offset")

@@ -183,12 +183,17 @@ def fitted_script(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
     """
     route, stations = _nearest_route(mover, ranges.roadmap)
     waypoints = _fitted(route, mover.time, stations, ranges)
-    motion = motion_on_route(ranges.roadmap, route, waypoints[None], mover.time)[0, :, :HEADING]
-    deviation = float(np.hypot(*(motion - mover.pose[:, :2]).T).max())
+    motion = motion_on_route(ranges.roadmap, route, waypoints[None], mover.time)[0]
+    deviation = float(np.hypot(*(motion[:, :HEADING] - mover.pose[:, :2]).T).max())
     if deviation > MAX_DEVIATION:
         raise InputError(
             f"{mover.name}: no route with waypoints comes nearer to its trajectory than {deviation:.2f} m, the nearest "
             f"is {route.name!r}; a vehicle here drives along a route, from its first lane on, without stopping on it"
+        )
+    if (np.cos(motion[:, HEADING] - mover.pose[:, 2]) < 0).any():
+        raise InputError(
+            f"{mover.name}: its headings differ by more than 90 degrees from those of the route {route.name!r}, along "
+            "which it would drive forwards"
         )
     return NPC(mover.type, route.name, tuple(Waypoint(*waypoint) for waypoint in waypoints.tolist()))
 

@@ -1,5 +1,6 @@
 """A callback for Stable-Baselines3 that fuzzes the present policy at intervals during a training."""
 
+import numbers
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -20,7 +21,7 @@ from behavexplor.campaign.config import Budget, stamped_folder
 from behavexplor.campaign.run_summary import RunSummary
 from behavexplor.data.durable import folder_in, new_file, write_durably
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, brief
 from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
 
@@ -103,12 +104,15 @@ class FuzzCallback(BaseCallback):
         **settings: Any,
     ) -> None:
         super().__init__(verbose)
+        for name, value in {"every": every, "share": share, "stop_below": stop_below}.items():
+            if not (isinstance(value, numbers.Real) or (value is None and name == "stop_below")):
+                raise InputError(f"{name}={brief(value)} must be a number")
         if not 1 <= every <= MOST_STEPS:
             raise InputError(f"every={every} must lie between 1 and {MOST_STEPS} training steps")
         if not 0.0 < share <= 1.0:
             raise InputError(f"share={share} must be greater than 0 and at most 1")
-        if stop_below is not None and not stop_below > 0.0:
-            raise InputError(f"stop_below={stop_below} must be greater than 0, or None to train on")
+        if stop_below is not None and not 0.0 < stop_below <= 1.0:
+            raise InputError(f"stop_below={stop_below} must be greater than 0 and at most 1, or None to train on")
         self._env, self._every, self._share, self._stop_below = env, every, share, stop_below
         self._out = None if out is None else Path(out)
         self._folder: Path | None = None

@@ -101,7 +101,7 @@ def test_rounds_that_would_take_too_long_are_left_out(tmp_path):
 @pytest.mark.slow
 def test_a_policy_that_is_good_enough_ends_the_training(tmp_path):
     numbers = {"budget": np.int64(SEARCH["budget"]), "seed": np.int64(0)}  # as searches for hyperparameters give them
-    callback = FuzzCallback(every=32, share=1.0, stop_below=1.1, out=str(tmp_path), **{**SEARCH, **numbers})
+    callback = FuzzCallback(every=32, share=1.0, stop_below=1.0, out=str(tmp_path), **{**SEARCH, **numbers})
     model = ppo()
     model.learn(96, callback=callback)
     assert model.num_timesteps == 32
@@ -124,6 +124,9 @@ def test_a_hyperparameter_file_can_name_it():
         ("share", math.nan),
         ("stop_below", math.nan),
         ("stop_below", 0.0),  # no rate is below it
+        ("stop_below", 5),
+        ("share", "1e-1"),  # as YAML reads it
+        ("every", None),
     ],
 )
 def test_values_out_of_range_are_refused(name, value):

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -324,6 +325,12 @@ PRIVATE = "Storyboard/Init/Actions/Private/PrivateAction"
         (add_element(first(".//Event/Action/PrivateAction"), "LateralAction"), "LateralAction in PrivateAction cannot"),
         (add_element(first("CatalogLocations"), "VehicleCatalog"), "VehicleCatalog in CatalogLocations cannot"),
         (add_element(first("Entities/ScenarioObject"), "Pedestrian"), "Pedestrian in ScenarioObject cannot be taken"),
+        (set_attribute(first(".//FollowTrajectoryAction"), "initialDistanceOffset", "5"), "an initialDistanceOffset"),
+        (set_attribute(first(".//Trajectory"), "closed", "true"), "a closed trajectory"),
+        (
+            set_attribute(first(".//ManeuverGroup"), "maximumExecutionCount", "0"),
+            "a maximumExecutionCount other than 1",
+        ),
         (set_attribute(first(".//Vertex"), "time", "${1+1}"), "an expression, or a parameter that is not declared"),
         (set_attribute(first(".//Vertex"), "time", "soon"), "time of Vertex must be a number, got 'soon'"),
         (set_attribute(first(".//Vertex"), "time", "nan"), "time of Vertex must be a number"),
@@ -380,6 +387,15 @@ def test_a_trajectory_off_the_routes_is_named(scene, tmp_path):
 
     with pytest.raises(InputError, match=r"NPC1: no route with waypoints comes nearer to its trajectory than \d"):
         imported(changed(scene[0], tmp_path, aside))
+
+
+def test_a_vehicle_that_would_drive_backwards_is_named(scene, tmp_path):
+    def turn(root):
+        for place in group(root, "NPC1").iter("WorldPosition"):
+            place.set("h", str(float(place.get("h")) + math.pi))
+
+    with pytest.raises(InputError, match="NPC1: its headings differ by more than 90 degrees"):
+        imported(changed(scene[0], tmp_path, turn))
 
 
 def test_a_changed_speed_profile_is_named(scene, tmp_path):
@@ -462,6 +478,13 @@ def test_a_scene_of_vehicles_that_drive_themselves_cannot_be_changed(campaign, t
 
     with pytest.raises(InputError, match="vehicles were added or removed"):
         imported(changed(path, tmp_path, remove))
+
+    def configure(root):
+        properties = root.find("FileHeader/Properties")
+        etree.SubElement(properties, "Property", name="behavexplor:env_config", value='{"duration": 5}')
+
+    with pytest.raises(InputError, match="env_config cannot be given"):
+        imported(changed(path, tmp_path, configure))
     forget = drop(first("FileHeader/Properties/Property[@name='behavexplor:scenario']"))
     with pytest.raises(InputError, match="lacks the property behavexplor:scenario, its random draws"):
         imported(changed(path, tmp_path, forget))
@@ -487,6 +510,14 @@ def test_an_import_prints_the_scenario_or_executes_it(exported, scene, tmp_path,
     assert ("ended by a collision" in printed) == (trace.end == "collision")
     assert f"after {trace.duration:.2f} s" in printed
     assert parse_scenario(out.read_text()) == scenario
+    assert main(["import", str(exported), "--out", str(exported)]) == 2
+    assert "is there already, and is kept" in capsys.readouterr().err
+
+
+def test_a_missing_road_is_said(exported, capsys):
+    (exported.parent / "road.xodr").unlink()
+    assert main(["import", str(exported)]) == 0
+    assert "The file of the scene's road is not there" in capsys.readouterr().err
 
 
 def test_a_changed_road_is_named(exported, capsys):

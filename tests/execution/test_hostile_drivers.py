@@ -1,5 +1,6 @@
 """Drivers that do what none should: their executions fail, and the campaign, its records and its terminal do not."""
 
+import math
 import os
 import signal
 import time
@@ -179,6 +180,12 @@ def test_exceptions_are_described_in_bounds():
     assert described(ValueError("a" * 5000)) == f"ValueError: {'a' * (LONGEST - 16)} ..."
     assert described(type("E" * 500, (Exception,), {})("x")) == f"{'E' * 80}: x"
     assert described(KeyError()) == "KeyError: "
+
+
+@pytest.mark.parametrize("limit", [0.0, 1e-9, math.inf, math.nan])
+def test_a_limit_of_time_that_no_worker_could_keep_is_refused(limit):
+    with pytest.raises(InputError, match=f"time_limit {limit} must be at least 0.1 s and less than"):
+        CampaignConfig(time_limit=limit)
 
 
 def test_a_limit_of_memory_that_no_worker_could_keep_is_refused():

@@ -2,6 +2,7 @@
 
 import inspect
 import io
+import warnings
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -78,7 +79,9 @@ def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
             settings["use_rms_prop"] = False  # if the training used it, it is among the keywords of the policy
         model: BaseAlgorithm = algorithm(policy_class, venv, policy_kwargs=keywords, device="cpu", **settings)
         model.policy.load_state_dict(_tensors(archive.weights))
-        if archive.optimizer is not None:
+        if archive.optimizer is None:
+            warnings.warn(f"{path} has no state of an optimizer, so a new one trains it further", stacklevel=2)
+        else:
             model.policy.optimizer.load_state_dict(_online_only(_tensors(archive.optimizer), model.policy.optimizer))
     except Exception as error:  # torch and Stable-Baselines3 can raise anything for wrong values
         first = str(error).split("\n", maxsplit=1)[0]

@@ -1,5 +1,6 @@
 """Models that go on learning are those that were saved, and none of their code runs."""
 
+import zipfile
 from dataclasses import replace
 from io import BytesIO
 
@@ -122,3 +123,14 @@ def test_no_code_in_the_file_runs(tmp_path):
     assert not proof.exists()
     action, _ = again.predict(np.zeros(BOX.shape), deterministic=True)
     assert action.shape == COMMANDS.shape
+
+
+def test_a_model_without_the_state_of_its_optimizer_is_said_to_be(tmp_path):
+    model = make_model("PPO", n_steps=8, batch_size=8).learn(8)
+    model.save(tmp_path / "whole.zip")
+    with zipfile.ZipFile(tmp_path / "whole.zip") as whole, zipfile.ZipFile(tmp_path / "part.zip", "w") as part:
+        for name in set(whole.namelist()) - {"policy.optimizer.pth"}:
+            part.writestr(name, whole.read(name))
+    with pytest.warns(UserWarning, match="has no state of an optimizer, so a new one"):
+        again = continued(read_archive(tmp_path / "part.zip"), venv(action_space=model.action_space))
+    assert same(again.policy.parameters(), model.policy.parameters())

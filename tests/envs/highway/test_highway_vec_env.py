@@ -66,6 +66,7 @@ def test_ppo_learns_on_it_and_reports_episodes():
     assert any(not old.equal(new) for old, new in zip(before, model.policy.parameters(), strict=True))
     assert len(model.ep_info_buffer) >= 4
     assert env.env_is_wrapped(Monitor) == [True] * 4
+    env.get_attr("config")[0]["vehicles_count"] = 7  # a copy
     assert env.get_attr("config")[0]["vehicles_count"] == 6
 
 
