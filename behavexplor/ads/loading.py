@@ -118,8 +118,8 @@ def _own_roads(driver: str, roadmap: RoadMap | None) -> RoadMap:
 def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activation: Activation | None) -> ADS:
     """Load the policy in a file or folder."""
     if path.suffix == ".npz":
-        driver, own = LearnedDriver, read_network(path)
-        return driver(_own_roads(f"The driving system {str(path)!r}", roadmap), own)
+        network = read_network(path)
+        return LearnedDriver(_own_roads(f"The driving system {str(path)!r}", roadmap), network)
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
         from behavexplor.ads.sb3.wrappers import in_wrappers  # noqa: PLC0415

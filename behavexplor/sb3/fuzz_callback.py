@@ -72,7 +72,7 @@ class FuzzCallback(BaseCallback):
         share: greatest share of the time since the training began that rounds may take. A round is left out if
             the rounds would then exceed this share, judging by the time of the last round. The first round always takes
             place.
-        stop_below: at-fault rate below which the training ends; None to train on.
+        stop_below: at-fault rate above 0 and up to 1, below which the training ends; None to train on.
         out: folder for the rounds' run folders and the best policy; by default a new one in runs/.
         seed: seed of every round.
         specs: requirements in addition to R1, R2 and R3, each as "module:attribute".

@@ -68,7 +68,7 @@ class Unshowable:
 
 
 class EveryAttribute:
-    """Has whatever one asks for, as a mock has."""
+    """Has every attribute, as a mock has."""
 
     def __getattr__(self, name):
         if name.startswith("__"):

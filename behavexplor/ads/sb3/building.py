@@ -96,7 +96,8 @@ def build_trusted(archive: Archive) -> BasePolicy:
     if isinstance(archive.settings.get("policy_class"), Inert) and _is_foreign(policy_class):
         raise InputError(
             f"{archive.path} contains {_name(archive.settings['policy_class'])} as code of another version than Python "
-            f"{_HERE}, whatever its system_info.txt says: save the model again where that class can be imported"
+            f"{_HERE}, although its system_info.txt may say otherwise: save the model again where that class can be "
+            "imported"
         )
     return assemble(archive, policy_class, observation_space, action_space, saved.get("policy_kwargs") or {})
 

@@ -79,7 +79,7 @@ def test_an_episode_of_highway_env_is_recorded_and_played_to_the_last_bit(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SLOW)
-def test_a_hundred_episodes_are_recorded_and_played_to_the_last_bit(name):
+def test_many_episodes_are_recorded_and_played_to_the_last_bit(name):
     check_replays(name, range(many(name, 100)))
 
 

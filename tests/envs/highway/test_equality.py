@@ -66,7 +66,7 @@ def test_outcomes_are_the_same_with_numpy_s_own_trigonometry(env_id):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", IDS)
-def test_200_episodes_to_the_last_bit(env_id):
+def test_many_episodes_driven_to_the_last_bit(env_id):
     (result,) = compare_in_child({"env_id": env_id, "episodes": many(env_id, 200)})
     assert result.episodes == many(env_id, 200)
     assert_equal(result)
@@ -74,7 +74,7 @@ def test_200_episodes_to_the_last_bit(env_id):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", IDS)
-def test_200_episodes_with_the_same_outcomes(env_id):
+def test_many_episodes_driven_with_the_same_outcomes(env_id):
     result = compare(env_id, episodes=many(env_id, 200))
     assert result.episodes == many(env_id, 200)
     assert not result.different
