@@ -8,8 +8,7 @@ from typing import Final
 
 from highway_env.road.lane import AbstractLane
 
-from behavexplor.data.array_types import Ints
-from behavexplor.envs.engine.lane_network import CIRCULAR, ON_LANE, SINE, STRAIGHT, Lane, Network
+from behavexplor.envs.engine.lane_network import ALL_NEAR, CIRCULAR, ON_LANE, SINE, STRAIGHT, Lane, Network
 from behavexplor.envs.engine.state import Scene, Vehicle
 from behavexplor.jit import kernel_inner
 
@@ -137,16 +136,13 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
     """
     best, place = likely, lane_coordinates(network.lanes[likely], x, y)
     apart = _distance(network.lanes[likely], *place)
-    first, count = 0, len(network.lanes)
-    if apart <= ON_LANE:
-        first, count = network.lanes[likely].first_near, network.lanes[likely].n_near
-    others = network.near[first : first + count]
-    if _is_alone(network, others, likely, x, y, apart + math.pi):  # at any heading
+    near = network.lanes[likely].near if apart <= ON_LANE else ALL_NEAR
+    if _is_alone(network, near, likely, x, y, apart + math.pi):  # at any heading
         return best, *place
     nearest = _distance_with_heading(network.lanes[likely], *place, heading)
-    for i in others:
+    for i in range(len(network.lanes)):
         lane = network.lanes[i]
-        if i == likely or is_farther(lane, x, y, nearest):
+        if not _is_in(near, i) or i == likely or is_farther(lane, x, y, nearest):
             continue
         found = lane_coordinates(lane, x, y)
         distance = _distance_with_heading(lane, *found, heading)
@@ -156,10 +152,15 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
 
 
 @kernel_inner
-def _is_alone(network: Network, others: Ints, lane: int, x: float, y: float, limit: float) -> bool:
-    """Return whether the other lanes are certainly farther from a point than a limit [m]."""
-    for i in others:
-        if i == lane or is_farther(network.lanes[i], x, y, limit):
+def _is_in(near: int, lane: int) -> bool:
+    return bool(near >> min(lane, 63) & 1)
+
+
+@kernel_inner
+def _is_alone(network: Network, near: int, lane: int, x: float, y: float, limit: float) -> bool:
+    """Return whether the other lanes that are near are certainly farther from a point than a limit [m]."""
+    for i in range(len(network.lanes)):
+        if not _is_in(near, i) or i == lane or is_farther(network.lanes[i], x, y, limit):
             continue
         return False
     return True

@@ -45,8 +45,7 @@ LANE: Final = record_type(
     number=np.int64,  # on its road
     first_link=np.int64,  # the lane's rows in `Network.links`
     n_links=np.int64,
-    first_near=np.int64,  # the lane's rows in `Network.near`
-    n_near=np.int64,
+    near=np.int64,  # bit i says whether lane i is near, see `ON_LANE`; ALL_NEAR of more than `MOST_BITS` lanes
 )
 
 ROAD: Final = record_type(
@@ -62,6 +61,7 @@ LINK: Final = record_type(lane=np.int64, offset=np.float64)
 
 # If a point is at most this distant from a lane, the lanes that are not near that one are certainly farther [m].
 ON_LANE: Final = 2.0
+ALL_NEAR, MOST_BITS = -1, 62
 _SAMPLES: Final = 64  # points of a lane's center line
 _ROUNDING: Final = 1e-3  # more than the rounding errors of a distance of center lines [m]
 
@@ -78,7 +78,6 @@ class Network(NamedTuple):
     # lanes on which `Road.neighbour_vehicles` looks for vehicles, for one lane after the other, with the offset of
     # their stations [m], of `LINK`. The first link of a lane is the lane itself.
     links: Records
-    near: Ints  # all lanes, then those that are near a lane and not itself, for one lane after the other
 
 
 def lane_indexes(network: RoadNetwork) -> list[LaneIndex]:
@@ -125,8 +124,8 @@ def make_network(
             _describe(row, lane)
             row.road, row.number, row.is_goal = road, number, is_goal((origin, target, number))
     links = _link(network, lanes, connected_lanes=connected_lanes)
-    near = _near_lanes(lanes)
-    return Network(lanes.view(np.ndarray), table.view(np.ndarray), np.array(exits, dtype=np.int64), links, near)
+    lanes["near"] = _near_lanes(lanes)
+    return Network(lanes.view(np.ndarray), table.view(np.ndarray), np.array(exits, dtype=np.int64), links)
 
 
 def _roads(network: RoadNetwork) -> Iterator[tuple[tuple[str, str], list[AbstractLane]]]:
@@ -182,18 +181,16 @@ def _link(network: RoadNetwork, lanes: Records, *, connected_lanes: bool) -> Rec
     return np.array(links, dtype=LINK)
 
 
-def _near_lanes(lanes: Records) -> Ints:
-    """Fill the lanes' `first_near` and `n_near`, and return `Network.near`.
+def _near_lanes(lanes: Records) -> list[int]:
+    """Return the field `near` of the lanes.
 
     A point's distance from a lane, in highway-env's measure, is at least that from its center line. So if a point is r
     from one lane, and the center lines are d apart, it is at least d - r from the other. That is more than r and any
     difference of headings, pi, if d is more than 2 r + pi.
     """
-    near = list(range(len(lanes)))
-    for lane, found in zip(lanes, _lanes_within(lanes.tobytes(), 2 * ON_LANE + math.pi), strict=True):
-        lane.first_near, lane.n_near = len(near), len(found)
-        near += found
-    return np.array(near, dtype=np.int64)
+    if len(lanes) > MOST_BITS:
+        return [ALL_NEAR] * len(lanes)
+    return [sum(1 << i for i in found) for found in _lanes_within(lanes.tobytes(), 2 * ON_LANE + math.pi)]
 
 
 @lru_cache(maxsize=16)  # it takes milliseconds, and environments that make their own roads make them in every episode

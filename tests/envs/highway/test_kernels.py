@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from behavexplor.envs.engine.lane_geometry import SLACK, closest_lane, is_farther, may_be_on_lane, note_places
-from behavexplor.envs.engine.lane_network import lane_indexes, make_network
+from behavexplor.envs.engine.lane_network import ALL_NEAR, lane_indexes, make_network
 from behavexplor.envs.engine.reactive_traffic import UNKNOWN, neighbors
 from behavexplor.envs.engine.state import Scene, make_scratch, make_slots
 from behavexplor.envs.highway.conversion import load
@@ -95,12 +95,13 @@ def test_lanes_that_are_not_near_the_likely_one_are_never_the_closest(env_id):
         station = rng.uniform(-5, lane.length + 5) if own % 3 else rng.choice([0.0, lane.length]) + rng.normal(0, 3)
         points[k] = *lane.position(station, rng.normal(0, 2)), rng.uniform(-4, 4)
     every = network.lanes.copy()
-    every["first_near"], every["n_near"] = 0, len(lanes)
+    every["near"] = ALL_NEAR
     found, expected = np.empty((2, count, 3))
     closest_of_many(network, likely, points, found)
     closest_of_many(network._replace(lanes=every), likely, points, expected)
     assert np.array_equal(found, expected)
-    assert network.lanes["n_near"].sum() <= len(lanes) * (len(lanes) - 1)
+    own = 1 << np.arange(len(lanes))
+    assert not (network.lanes["near"] & own).any() and (network.lanes["near"] < 1 << len(lanes)).all()
 
 
 phases = st.floats(-7, 7)
