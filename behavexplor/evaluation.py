@@ -37,8 +37,9 @@ STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from tho
 _BETWEEN_LOOKS: Final = 1.005  # ratio of the numbers of scenarios at two looks at a rate
 AHEAD: Final = 1024  # scenarios under way that are judged by their traces, enough for many processes in lock-step
 BLOCK, SMALL_BLOCK = 256, 32  # scenarios that are counted together, or judged by their traces
+LARGE_BLOCK, MANY = 1024, 16_384  # scenarios that are counted together if there are many, which takes less time
 BLOCKS_AHEAD: Final = 64
-_SLOTS: Final = 128  # episodes in lock-step while failures are counted
+_SLOTS: Final = 256  # episodes in lock-step while failures are counted
 Observe = Callable[[int], None]
 _COUNTS, _COUNT = "counts", "count"  # functions of the service
 
@@ -246,7 +247,8 @@ def uniform_blocks(
     is_counted = bool(judge.submit(_COUNTS, b"").result())
     size, ahead = SMALL_BLOCK, AHEAD // SMALL_BLOCK
     if is_counted:
-        size, ahead = BLOCK, 0 if judge.runs_here else BLOCKS_AHEAD
+        size = LARGE_BLOCK if numbers.stop >= MANY else BLOCK
+        ahead = 0 if judge.runs_here else BLOCKS_AHEAD
     started: deque[tuple[range, Any, list[Future[bytes]], Any]] = deque()
 
     def finished() -> OutcomeBlock:

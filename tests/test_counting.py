@@ -65,6 +65,12 @@ def test_workers_change_nothing():
     assert found[0] == found[1] == found[2]
 
 
+def test_large_blocks_change_nothing(monkeypatch):
+    small = counted("roundabout-v0", "careful", False, 1300)
+    monkeypatch.setattr(evaluation, "MANY", 1300)
+    assert counted("roundabout-v0", "careful", False, 1300) == small
+
+
 class Forgetful(Cruiser):
     """Brakes in every episode of a small batch, and in none of a larger one."""
 

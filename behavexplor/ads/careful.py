@@ -57,12 +57,12 @@ class CarefulDriver:
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Ints, Any]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`. Observations have the shape (B, 15, 7)."""
-        presence, x, y, vx, vy, cos, sin = np.moveaxis(np.asarray(observation, dtype=np.float64), -1, 0)
+        presence, x, y, vx, vy, cos, sin = np.asarray(np.moveaxis(observation, -1, 0), dtype=np.float64, order="C")
         present = presence[:, 1:] > 0
         apart = _turned(x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1], cos[:, :1], sin[:, :1])
         speed = np.hypot(vx[:, 0], vy[:, 0])
         motion = _turned(vx[:, 1:], vy[:, 1:], cos[:, :1], sin[:, :1])
-        parallel, _ = _turned(cos[:, 1:], sin[:, 1:], cos[:, :1], sin[:, :1])
+        parallel = cos[:, 1:] * cos[:, :1] + sin[:, 1:] * sin[:, :1]
         wanted = _follow(speed, present, apart, motion)
         gives_way = _meets(speed, present, apart, motion, parallel)
         slower = gives_way | (wanted < -HESITATION)
@@ -92,9 +92,9 @@ def _follow(speed: Floats, present: Bools, apart: tuple[Floats, Floats], motion:
     ahead, aside = apart
     is_ahead = present & (ahead > 0) & (np.abs(aside) < BESIDE)
     distance = np.where(is_ahead, ahead, np.inf)
-    leader = distance.argmin(axis=1)[:, None]
-    gap = np.maximum(np.take_along_axis(distance, leader, axis=1)[:, 0] - LENGTH, 0.1)
-    leader_speed = np.take_along_axis(motion[0], leader, axis=1)[:, 0]
+    leader = np.arange(len(speed)), distance.argmin(axis=1)
+    gap = np.maximum(distance[leader] - LENGTH, 0.1)
+    leader_speed = motion[0][leader]
     approach = speed * (speed - leader_speed) / (2 * np.sqrt(ACCELERATION * BRAKING))
     desired = JAM_GAP + np.maximum(speed * TIME_GAP + approach, 0.0)
     return np.asarray(ACCELERATION * (1 - (speed / DESIRED_SPEED) ** EXPONENT - (desired / gap) ** 2))

@@ -1,5 +1,6 @@
 """`behavexplor evaluate`: measure how well a driving system drives."""
 
+import gc
 import shlex
 import sys
 import time
@@ -210,6 +211,7 @@ def _evaluated(target: Target, run: _Run, *, beside: bool = False) -> tuple[Logi
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor)
             logical = logical_of_target(executor, target.env)
+        gc.freeze()  # modules live as long as the process: garbage collections need not look at them
         for warning in warnings if not (beside or target.ads.startswith(_CONSTANT)) else ():
             say(f"Warning: {warning}")
         with Meter(sys.stderr, run.scenarios, "scenarios", quiet=run.quiet) as meter:

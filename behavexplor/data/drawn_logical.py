@@ -112,7 +112,7 @@ class DrawnLogicalScenario:
     def pass_over(self, rng: np.random.Generator) -> None:
         """Take the random numbers of a scenario, as `sample` does."""
         rng.integers(SEEDS)
-        self._fresh(rng)
+        self._both_kinds(rng)
 
     def scenario(self, seed: int, forms: Floats) -> DrawnScenario:
         """Return the scenario with the given standard forms of its draws, shape (n_draws,)."""
@@ -190,7 +190,11 @@ class DrawnLogicalScenario:
         return np.array([draw.kind == NORMAL for draw in self.draws], dtype=bool)
 
     def _fresh(self, rng: np.random.Generator) -> Floats:
-        return np.where(self._is_normal, rng.standard_normal(len(self.draws)), rng.random(len(self.draws)))
+        return np.where(self._is_normal, *self._both_kinds(rng))
+
+    def _both_kinds(self, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """Return a normal and a uniform form for each draw."""
+        return rng.standard_normal(len(self.draws)), rng.random(len(self.draws))
 
     def first_frame(self, scenario: DrawnScenario, end: str) -> Trace:  # noqa: ARG002 - the draws do not tell the place
         """Return the trace of an episode that ended before any vehicle moved.

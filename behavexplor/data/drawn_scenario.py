@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Final, Literal, Self
 
 import numpy as np
@@ -113,10 +114,10 @@ class DrawnScenario:
     def __post_init__(self) -> None:
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < MAX_SEED:
             raise InputError(f"seed: expected a whole number from 0 to 2^63 - 1, got {brief(self.seed)}")
-        every = [value for _, values in self.draws for value in values]
+        every = list(chain.from_iterable(values for _, values in self.draws))
         if len(every) > MAX_DRAWS:
             raise InputError(f"draws: at most {MAX_DRAWS} can be given")
-        if {*map(type, every)} <= {float} and all(map(math.isfinite, every)):
+        if {*map(type, every)} <= {float} and math.isfinite(sum(every)):  # no value is infinite or NaN then
             return
         for name, values in self.draws:
             for i, value in enumerate(values):

@@ -30,7 +30,10 @@ THING: Final = record_type(
 
 
 class FrameLog(NamedTuple):
-    """The frames of the latest decision of B episodes, each with room for N vehicles and obstacles."""
+    """The frames of the latest decision of B episodes, each with room for N vehicles and obstacles.
+
+    With room for a single one, it is the ego.
+    """
 
     frames: Records  # shape (B, frames) of `FRAME`
     # vehicles in highway-env's order, then obstacles, shape (B, frames, N) of `THING`. What lies beyond `n_things` is
@@ -46,11 +49,15 @@ def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
 @kernel_inner
 def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> None:
     """Log the present state."""
-    episode, ego = scene.episode, scene.vehicles[scene.episode.ego]
-    frame.n_things = episode.n_vehicles + episode.n_obstacles
-    frame.ego, frame.is_on_road = episode.ego, is_on_road(network, ego)
-    for i in range(episode.n_vehicles + episode.n_obstacles):
-        thing, vehicle = things[i], scene.vehicles[i]
+    episode = scene.episode
+    first, count = 0, episode.n_vehicles + episode.n_obstacles
+    if len(things) == 1:
+        first, count = episode.ego, 1
+    frame.n_things, frame.ego = count, episode.ego - first
+    frame.is_on_road = is_on_road(network, scene.vehicles[episode.ego])
+    for k in range(count):
+        i = first + k
+        thing, vehicle = things[k], scene.vehicles[i]
         thing.number, thing.crashed = vehicle.number, vehicle.crashed
         thing.x, thing.y, thing.heading, thing.speed = vehicle.x, vehicle.y, vehicle.heading, vehicle.speed
         thing.lane = thing.target_lane = NO_LANE

@@ -141,8 +141,8 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
         return best, *place
     nearest = _distance_with_heading(network.lanes[likely], *place, heading)
     for i in range(len(network.lanes)):
-        lane = network.lanes[i]
-        if not _is_in(near, i) or i == likely or is_farther(lane, x, y, nearest):
+        lane, is_near, near = network.lanes[i], near & 1, near >> 1
+        if not is_near or i == likely or is_farther(lane, x, y, nearest):
             continue
         found = lane_coordinates(lane, x, y)
         distance = _distance_with_heading(lane, *found, heading)
@@ -152,15 +152,11 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
 
 
 @kernel_inner
-def _is_in(near: int, lane: int) -> bool:
-    return bool(near >> min(lane, 63) & 1)
-
-
-@kernel_inner
 def _is_alone(network: Network, near: int, lane: int, x: float, y: float, limit: float) -> bool:
     """Return whether the other lanes that are near are certainly farther from a point than a limit [m]."""
     for i in range(len(network.lanes)):
-        if not _is_in(near, i) or i == lane or is_farther(network.lanes[i], x, y, limit):
+        is_near, near = near & 1, near >> 1
+        if not is_near or i == lane or is_farther(network.lanes[i], x, y, limit):
             continue
         return False
     return True

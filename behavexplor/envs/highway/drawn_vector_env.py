@@ -53,15 +53,13 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
     The episodes of the given environment are used up.
 
     Attributes:
-        short_traces: whether only failures matter, False at first. If it is set to True, `infos["trace"]` has a trace
-            of a single frame for an episode without failure, and None for any other. Scenarios must then be drawn from
-            `logical`, since they are not checked. That is many times as fast.
+        short_traces: whether only failures matter, False at first. `infos["trace"]` then has a trace of a single frame
+            for an episode without failure, and None for any other. Scenarios must be drawn from `logical`, since they
+            are not checked. That is many times as fast.
 
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.
     """
-
-    short_traces = False
 
     def __init__(self, env: DrawnEnv, num_envs: int, *, rewards: bool = False) -> None:
         check_compiled(env, rewards=rewards)
@@ -81,6 +79,7 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
         self._later = decision_order(env)
         self._order = self._start_order()
         self._networks = [env.inner.road.network] * num_envs  # that of the engine, now that it has copied an episode
+        self._has_short_traces = False
 
     def _start_order(self) -> tuple[DrawPlace, ...] | None:
         """Return the order of the draws by which the engine begins episodes; None if only highway-env can."""
@@ -97,6 +96,16 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
             if not are_alike(expected, self._engine.state(0)):
                 return None
         return order
+
+    @property
+    def short_traces(self) -> bool:
+        """Whether only failures matter; see `DrawnVectorEnv`."""
+        return self._has_short_traces
+
+    @short_traces.setter
+    def short_traces(self, short: bool) -> None:
+        self._has_short_traces = short
+        self._engine.log_egos(alone=short)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin episodes with the option `scenarios`, one for each slot; `reset_mask`, (num_envs,), selects slots.
@@ -208,9 +217,8 @@ class FailureWatch:
         self._strayed[chosen] = ~frames["is_on_road"]
         self._is_beyond[chosen] = not self._must_move_on
         if self._must_move_on:
-            lanes = things["lane"][np.arange(len(chosen)), frames["ego"]]
-            ahead = engine.roads_ahead(chosen, frames["ego"], 2)
-            self._entry[chosen] = self._roads[lanes][:, None]
+            ahead = engine.roads_ahead(chosen, 2)
+            self._entry[chosen] = self._roads[things["lane"]]
             self._entry[chosen, :2] = np.where(ahead == NO_ROAD, self._entry[chosen, :2], ahead)
 
     def passing(self, engine: HighwayVectorEnv, infos: dict[str, Any]) -> Bools:
@@ -218,8 +226,9 @@ class FailureWatch:
         frames, things = engine.frame_log
         self._strayed |= (~frames["is_on_road"]).any(axis=1)
         if self._must_move_on:
-            lanes = np.take_along_axis(things["lane"], frames["ego"][..., None], axis=2)
-            self._is_beyond |= (self._roads[lanes] != self._entry[:, None]).all(axis=2).any(axis=1)
+            roads = self._roads[things["lane"][:, :, 0]]
+            first, second, third = (roads != road[:, None] for road in self._entry.T)
+            self._is_beyond |= (first & second & third).any(axis=1)
         arrived = _arrivals(infos)
         failed: Bools = infos["crashed"] | ~(self._is_beyond if arrived is None else arrived)
         return ~(failed | self._strayed) if self._borders else ~failed

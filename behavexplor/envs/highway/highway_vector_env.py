@@ -163,12 +163,20 @@ class HighwayVectorEnv(LockStepVectorEnv):
         """Return a copy of the state of sub-environment b."""
         return slot_state(self._slots, b)
 
-    def roads_ahead(self, chosen: Sequence[int], vehicles: Ints, count: int) -> Ints:
-        """Return the next roads of the routes of vehicles, one of each chosen sub-environment, shape (chosen, count).
+    def log_egos(self, *, alone: bool) -> None:
+        """Choose whether the log of frames, if there is one, has the egos alone or all vehicles from now on."""
+        n_places = 1 if alone else self._slots.vehicles.shape[1]
+        n_slots, n_frames = self.frame_log.frames.shape
+        self.frame_log = make_log(n_slots, n_frames, n_places)
+        self._outcome = self._outcome._replace(log=self.frame_log)
+
+    def roads_ahead(self, chosen: Sequence[int], count: int) -> Ints:
+        """Return the next roads of the egos' routes in the chosen sub-environments, shape (chosen, count).
 
         After the end of a route, there is `NO_ROAD`.
         """
-        own, routes = self._slots.vehicles[chosen, vehicles], self._slots.routes["road"][chosen, vehicles]
+        egos = self._slots.episodes["ego"][chosen]
+        own, routes = self._slots.vehicles[chosen, egos], self._slots.routes["road"][chosen, egos]
         steps = own["route_position"][:, None] + np.arange(count)
         roads = np.take_along_axis(routes, np.minimum(steps, routes.shape[1] - 1), axis=1)
         return np.where(steps < own["route_length"][:, None], roads, NO_ROAD)

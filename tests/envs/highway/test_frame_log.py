@@ -48,6 +48,24 @@ def test_only_the_slots_that_take_an_action_are_logged():
     assert not env.frame_log.frames["n_things"].any()
 
 
+@pytest.mark.parametrize("env_class", [IntersectionEnv, HighwayEnvFast])
+def test_the_log_of_egos_alone_is_that_of_the_egos(env_class):
+    both = [HighwayVectorEnv(env_class, 3, log_frames=True) for _ in range(2)]
+    both[1].log_egos(alone=True)
+    for env in both:
+        env.reset(seed=0)
+        env.step(np.ones(3, dtype=np.int64))
+    (frames, things), (egos_frames, egos) = (env.frame_log for env in both)
+    assert (egos_frames["n_things"] == 1).all()
+    assert np.array_equal(frames["is_on_road"], egos_frames["is_on_road"])
+    own = np.take_along_axis(things, frames["ego"][..., None], axis=2)
+    assert np.array_equal(own, egos)
+    both[1].log_egos(alone=False)
+    both[1].reset(seed=0)
+    both[1].step(np.ones(3, dtype=np.int64))
+    assert np.array_equal(both[1].frame_log.frames, frames)
+
+
 def test_a_reset_logs_the_start_and_not_what_happened_before_it():
     env = HighwayVectorEnv(IntersectionEnv, 1, log_frames=True)
     env.reset(seed=0)
