@@ -23,8 +23,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.search import MAX_POPULATION, UNIFORM, Candidate
 from behavexplor.fuzz.vector_search import Asker
-from behavexplor.judge.classes import violation_class
-from behavexplor.judge.closest_approach import LONGEST, ClosestApproach
+from behavexplor.judge.closest_approach import NearMiss
 from behavexplor.judge.specs import Verdict
 
 CHILD: Final = "child"  # origin of candidates
@@ -55,6 +54,7 @@ class Niching:
     """Ours: evolution toward near misses, whose score gets worse the more often their kind of situation was seen."""
 
     Options: ClassVar[type] = NichingOptions
+    uses_near_misses: ClassVar[bool] = True
 
     def __init__(self, logical: LogicalScenario, seed: int, options: NichingOptions) -> None:
         self._options = options
@@ -90,9 +90,7 @@ class Niching:
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
         """Count the niche of an execution, and keep the best parents; tell the `time_left` until a collision [s]."""
-        nearest = ClosestApproach.of(trace)
-        niche = _niche(trace, verdict, nearest)
-        time_left = nearest.time_left if nearest else LONGEST
+        time_left, niche = NearMiss.of(trace, verdict)
         score = 0.0 if verdict.violated else _LEAST + time_left
         self._seen[niche] += 1
         self._parents.append(_Parent(candidate.number, self._asker.told(candidate), score, niche))
@@ -108,11 +106,3 @@ class Niching:
     def status(self) -> Mapping[str, float]:
         """Return the number of niches."""
         return {"niches": len(self._seen)}
-
-
-def _niche(trace: Trace, verdict: Verdict, nearest: ClosestApproach | None) -> object:
-    """Return the situation of a collision or near miss, the class of another failure, or None."""
-    if verdict.violated and trace.end != "collision":
-        kind = violation_class(trace, verdict.violated)
-        return kind.id if kind else verdict.violated[0]
-    return nearest.niche(trace) if nearest else None

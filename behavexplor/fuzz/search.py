@@ -77,7 +77,9 @@ class SearchMethod(Protocol):
     from `draws(seed, i)`.
 
     A method may have an attribute `foreseen`: how many of its next candidates no further result can change, such as
-    the rest of a generation. A campaign asks for them early, so that all workers have enough to do.
+    the rest of a generation. A campaign asks for them early, so that all workers have enough to do. With an attribute
+    `uses_near_misses` that is true, the processes that judge also compute what
+    `behavexplor.judge.closest_approach.NearMiss.of` returns.
     """
 
     Options: ClassVar[type]

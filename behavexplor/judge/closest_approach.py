@@ -1,20 +1,22 @@
-"""The moment at which an ego came nearest to a collision, and the kind of situation that it was in.
+"""The moment at which an ego came nearest to a collision, the kind of situation that it was in, and near misses.
 
 The measure is the time to collision: the time until two vehicles touch if both keep their velocities.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.jit import kernel_in_place
+from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import recent
 from behavexplor.judge.fault import touched_npc
 from behavexplor.judge.situation import bearing_of, maneuver_of
+from behavexplor.judge.specs import Verdict
 
 LONGEST: Final = 5.0  # greater times to collision tell nothing [s]
 BEFORE: Final = 1.0  # time between the situation that leads to a collision and the contact [s]
@@ -24,6 +26,8 @@ _CLOSING: Final = (4.0, 10.0)  # edges between kinds of relative speeds [m/s]
 _SPEEDS: Final = (6.0, 14.0, 22.0)  # edges between kinds of the ego's speeds [m/s]
 _DISC_PLACE: Final = 0.34  # of the outer two of a vehicle's three discs, as a share of its length
 _DISC_RADIUS: Final = 0.55  # as a share of its width
+
+_KNOWN: Final = "_near_miss"  # attribute of a trace
 
 Niche = tuple[str | int, ...]
 
@@ -63,6 +67,31 @@ class ClosestApproach:
         command = np.rint(trace.actions[latest]).astype(int).tolist() if latest >= 0 else []
         words = maneuver_of(trace, self.frame), bearing_of(trace, self.frame, self.npc)
         return *words, sector, int(np.digitize(closing, _CLOSING)), int(np.digitize(speed, _SPEEDS)), *command
+
+
+class NearMiss(NamedTuple):
+    """How near an execution came to a failure, and in what kind of situation."""
+
+    time_left: float  # least time to collision, `LONGEST` at most [s]
+    niche: Niche | None  # situation of a collision or near miss, or class of another failure; None if there is none
+
+    @classmethod
+    def of(cls, trace: Trace, verdict: Verdict) -> Self:
+        """Return that of an execution, as another process has computed it if one has."""
+        known: Self | None = vars(trace).get(_KNOWN)
+        if known is not None:
+            return known
+        nearest = ClosestApproach.of(trace)
+        time_left = nearest.time_left if nearest else LONGEST
+        if verdict.violated and trace.end != "collision":
+            kind = violation_class(trace, verdict.violated)
+            return cls(time_left, (kind.id if kind else verdict.violated[0],))
+        return cls(time_left, nearest.niche(trace) if nearest else None)
+
+
+def known_near_miss(time_left: float, niche: list[str | int] | None) -> dict[str, Any]:
+    """Return what another process has computed, as an argument of `Trace.of_packed`."""
+    return {_KNOWN: NearMiss(time_left, None if niche is None else tuple(niche))}
 
 
 def _before_contact(trace: Trace, partner: int) -> int:
