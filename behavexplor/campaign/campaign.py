@@ -33,7 +33,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.fuzz.methods import load_method
-from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
+from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod, UniformCandidate
 from behavexplor.judge.discovery import INDEPENDENT
 from behavexplor.judge.lanes import has_other_names
 from behavexplor.judge.specs import SPECS, Spec
@@ -255,7 +255,7 @@ class Campaign:
     def _begun(self, candidate: Candidate) -> _Pending:
         """Let a worker execute a candidate, and a judge judge it if there are any."""
         judges, drawn, scenario = self._judges, "", ""
-        if candidate.seed is not None and judges is not None and judges.can_draw:
+        if isinstance(candidate, UniformCandidate) and judges is not None and judges.can_draw:
             drawn = json.dumps([candidate.seed, candidate.number])
         else:
             scenario = ENCODED(candidate.scenario.to_dict())

@@ -5,7 +5,8 @@ The campaign asks for a scenario, executes it, and tells the search method the r
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from functools import cached_property
+from typing import Any, ClassVar, Protocol
 
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.scenario import draws as draws  # noqa: PLC0414 - it belongs to this interface
@@ -37,29 +38,26 @@ class Candidate:
     origin: str
     parent: int | None
 
-    @classmethod
-    def uniform(cls, number: int, logical: LogicalScenario, seed: int) -> Self:
-        """Return a uniform candidate of a campaign with the given seed, whose scenario is drawn when it is asked for.
 
-        Workers can draw it as well: it is the `sample` of the logical scenario by `draws(seed, number)`.
-        """
-        candidate = object.__new__(cls)
-        candidate.__dict__.update(number=number, origin=UNIFORM, parent=None, _logical=logical, _seed=seed)
-        return candidate
+class UniformCandidate(Candidate):
+    """A uniform candidate, whose scenario is drawn when it is asked for.
 
-    @property
-    def seed(self) -> int | None:
-        """The seed by which workers can draw the scenario; None if they cannot."""
-        return vars(self).get("_seed")
+    Workers can draw it as well: it is the `sample` of the logical scenario by `draws(seed, number)`.
 
-    if not TYPE_CHECKING:
+    Attributes:
+        seed: seed of the campaign.
+    """
 
-        def __getattr__(self, name: str) -> Any:
-            """Draw the scenario of `uniform`."""
-            if name != "scenario" or "_seed" not in vars(self):
-                raise AttributeError(f"a candidate has no attribute {name!r}")
-            self.__dict__["scenario"] = self._logical.sample(draws(self._seed, self.number))
-            return self.scenario
+    seed: int
+    _logical: LogicalScenario
+
+    def __init__(self, number: int, logical: LogicalScenario, seed: int) -> None:
+        vars(self).update(number=number, origin=UNIFORM, parent=None, seed=seed, _logical=logical)
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The scenario."""
+        return self._logical.sample(draws(self.seed, self.number))
 
 
 def nothing_to_mutate(failed: int) -> SearchExhausted:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import validated
-from behavexplor.fuzz.search import Candidate
+from behavexplor.fuzz.search import Candidate, UniformCandidate
 from behavexplor.judge.specs import Verdict
 
 
@@ -30,7 +30,7 @@ class Uniform:
     def ask(self) -> Candidate:
         """Return the next sampled scenario."""
         self._asked += 1
-        return Candidate.uniform(self._asked - 1, self._logical, self._seed)
+        return UniformCandidate(self._asked - 1, self._logical, self._seed)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
         """Ignore the execution, since nothing is learned."""
