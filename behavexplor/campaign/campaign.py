@@ -24,7 +24,7 @@ from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.confirmation import unconfirmed
 from behavexplor.campaign.judgment import Judges, Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
-from behavexplor.campaign.record import ENCODED, ERROR, Record
+from behavexplor.campaign.record import ENCODED, ERROR, Record, WrittenValues
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.campaign.uniform_rate import MOST, SHARE, UniformRate
 from behavexplor.data.scenario import LogicalScenario
@@ -277,7 +277,7 @@ class Campaign:
         record = self._record(oldest, judged)
         self._failures += record.failed
         if not isinstance(oldest.result, Execution):
-            self._store.add(Execution(record, judged.data, self.elapsed))
+            self._store.add(Execution(record, judged.data, self.elapsed, record.lines_around(judged.lines)))
         elif not oldest.result.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
             raise InputError(
                 f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration or "
@@ -334,9 +334,7 @@ class Campaign:
         with self._during(Stage.MINING, candidate.number):
             novelty = self._archive.observe(judged.trace)
             learned = self._method.tell(candidate, judged.trace, judged.verdict)
-        return Record.of_outcome(
-            judged.lines,
-            pending.scenario or judged.scenario or ENCODED(candidate.scenario.to_dict()),
+        return Record(
             id=candidate.number,
             origin=candidate.origin,
             parent=candidate.parent,
@@ -351,6 +349,7 @@ class Campaign:
             novelty=novelty,
             novel=novelty > self._archive.options.threshold,
             search=dict(learned),
+            scenario=WrittenValues(pending.scenario or judged.scenario or ENCODED(candidate.scenario.to_dict())),
         )
 
     def _commit(self, observe: Callable[[Progress], None], rows: int, seconds: float) -> None:

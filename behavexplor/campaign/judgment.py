@@ -56,7 +56,7 @@ class Judgment:
     violation_class: str | None  # id of the failure's class; None for a passed execution
     fault: str | None  # who was at fault in a collision, as stored in a record
     failure: dict[str, str] | None  # how the ADS failed, as stored in a record; None if it did not
-    lines: Sequence[str]  # all that as it stands in a record, see `Record.of_outcome`
+    lines: Sequence[str]  # all that as it stands in a record, see `Record.lines_around`
     scenario: str | None = None  # the scenario as JSON, if a judge has drawn it again
 
 

@@ -1,10 +1,11 @@
 """Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
+from typing import Annotated, Any, ClassVar, Final, Self
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -20,6 +21,27 @@ DATABASE, FAILURES = "campaign.db", "failures"
 def failure_path(run: Path, number: int) -> Path:
     """Return the path of the file of a failed execution in a run folder."""
     return run / FAILURES / f"{number:06d}.json"
+
+
+class WrittenValues(Mapping[str, Any]):
+    """Values by name in a JSON text, which is read when one of them is asked for."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    @cached_property
+    def _values(self) -> dict[str, Any]:
+        values: dict[str, Any] = json.loads(self.text)
+        return values
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +85,7 @@ class Record:
     novelty: float | None = None
     novel: bool = False
     search: dict[str, Any] = field(default_factory=dict)
-    scenario: dict[str, Any]
+    scenario: Mapping[str, Any]
 
     @property
     def failed(self) -> bool:
@@ -86,44 +108,24 @@ class Record:
     def to_dict(self) -> dict[str, Any]:
         """Return the record as JSON values, in a fixed order."""
         values: dict[str, Any] = {_KEYS.get(name, name): getattr(self, name) for name in _NAMES}
-        values["violated"] = list(self.violated)
+        values |= {"violated": list(self.violated), "scenario": dict(self.scenario)}
         return {name: value for name, value in values.items() if value is not None or name == "parent"}
 
     @property
-    def lines(self) -> Sequence[str]:
-        """The record as lines of JSON, one for each field."""
-        return vars(self).get("_lines") or lines_of(self.to_dict())
+    def lines(self) -> list[str]:
+        """The record as lines of JSON, one for each field; see `json_of`."""
+        return lines_of(self.to_dict())
 
     def to_json(self) -> str:
         """Return the record as JSON."""
-        return f"{{{', '.join(self.lines)}}}"
+        return json_of(self.lines)
 
-    @classmethod
-    def of_outcome(cls, outcome: Sequence[str], scenario: str, **values: Any) -> Self:
-        """Return a record of which a part has been written already, so that it need not be written again.
-
-        Args:
-            outcome: the fields from `end` to `degrees`, as lines of JSON.
-            scenario: the scenario as JSON, which is read when it is asked for.
-            values: all fields but the scenario.
-        """
-        record = object.__new__(cls)
-        numbers = ENCODED([values[name] for name in ("id", "parent", "novelty", "novel")])[1:-1].split(", ")
-        origin, search = ENCODED(values["origin"]), ENCODED(values["search"])
-        named = (("id", numbers[0]), ("origin", origin), ("parent", numbers[1]))
-        others = (("novelty", numbers[2]), ("novel", numbers[3]), ("search", search), ("scenario", scenario))
-        before, after = ([f'"{name}": {text}' for name, text in texts] for texts in (named, others))
-        record.__dict__.update(values, _lines=(*before, *outcome, *after), _scenario=scenario)
-        return record
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Read the scenario of `of_outcome`."""
-            if name != "scenario" or "_scenario" not in vars(self):
-                raise AttributeError(f"a record has no attribute {name!r}")
-            self.__dict__["scenario"] = json.loads(self._scenario)
-            return self.scenario
+    def lines_around(self, outcome: Sequence[str]) -> list[str]:
+        """Return the record as lines of JSON, of which those from `end` to `degrees` have been written already."""
+        scenario = self.scenario.text if isinstance(self.scenario, WrittenValues) else ENCODED(self.scenario)
+        before = {"id": self.id, "origin": self.origin, "parent": self.parent}
+        after = {"novelty": self.novelty, "novel": self.novel, "search": self.search}
+        return [*lines_of(before), *outcome, *lines_of(after), f'"scenario": {scenario}']
 
     @classmethod
     def from_json(cls, data: bytes | str) -> Self:
@@ -148,6 +150,11 @@ ENCODED: Final = json.JSONEncoder(allow_nan=False).encode  # without the time th
 def lines_of(values: Mapping[str, Any]) -> list[str]:
     """Return JSON values by name as they stand in a record, one line each."""
     return [f'"{name}": {ENCODED(value)}' for name, value in values.items()]
+
+
+def json_of(lines: Iterable[str]) -> str:
+    """Return the JSON of a record in lines."""
+    return f"{{{', '.join(lines)}}}"
 
 
 @dataclass

@@ -8,9 +8,9 @@ lost executions are repeated when the campaign is resumed.
 import json
 import re
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, Self
@@ -19,7 +19,7 @@ from behavexplor.campaign import database_rows
 from behavexplor.campaign.config import CONFIG
 from behavexplor.campaign.database_file import LOCK, connect, lock_folder
 from behavexplor.campaign.progress import known_stages
-from behavexplor.campaign.record import DATABASE, FAILURES, Losses, Record, failure_path
+from behavexplor.campaign.record import DATABASE, FAILURES, Losses, Record, failure_path, json_of
 from behavexplor.data.durable import check_no_file, folder_in, write_durably, write_whole
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -37,11 +37,18 @@ class Execution:
     record: Record
     trace: bytes  # trace as bytes, see `behavexplor.data.trace.Trace.from_bytes`
     elapsed: float  # running time of the campaign up to the execution [s]
+    # the record as lines of JSON, if they are known already
+    written: Sequence[str] | None = field(default=None, compare=False)
 
     @property
     def id(self) -> int:
         """Number of the execution."""
         return self.record.id
+
+    @property
+    def lines(self) -> Sequence[str]:
+        """The record as lines of JSON, one for each field."""
+        return self.written or self.record.lines
 
     @property
     def scenario(self) -> Scenario:
@@ -211,7 +218,7 @@ class Store:
             raise FileNotFoundError(f"{self.lost} was deleted or moved")
         rows = []
         for execution in self._pending:
-            record = execution.record.to_json().encode()
+            record = json_of(execution.lines).encode()
             rows.append(database_rows.Row(execution.id, record, execution.trace, float(execution.elapsed)))
             if execution.record.failed:
                 self._write_failure(execution)
@@ -220,7 +227,7 @@ class Store:
         return committed
 
     def _write_failure(self, execution: Execution) -> None:
-        text = ",\n ".join(execution.record.lines)
+        text = ",\n ".join(execution.lines)
         path = failure_path(self.folder, execution.id)
         write_whole(path, f"{{\n {text}\n}}\n")  # the database has what may be lost
 

@@ -223,7 +223,7 @@ def left_as_found(
         minimal=size,
         executions=0,
         violated=record.violated,
-        scenario=record.scenario,
+        scenario=dict(record.scenario),
     )
 
 
