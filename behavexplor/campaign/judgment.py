@@ -36,7 +36,7 @@ from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.service import Recipe, Service
 from behavexplor.jit import keep_code_in
 from behavexplor.judge.classes import violation_class
-from behavexplor.judge.closest_approach import NearMiss, known_near_miss
+from behavexplor.judge.closest_approach import Nearness, known_nearness
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import collision_fault
 from behavexplor.judge.specs import SPECS, Spec, Verdict, judge
@@ -208,19 +208,19 @@ class JudgeService(Service):
     Args:
         env: name of the environment with the logical scenario.
         logical: the logical scenario as JSON, if its name does not say all.
-        near_misses: whether to compute near misses, too.
+        nearness: whether to compute how near executions came to a failure, too.
     """
 
-    def __init__(self, env: str = "", logical: str = "", *, near_misses: bool = False) -> None:
+    def __init__(self, env: str = "", logical: str = "", *, nearness: bool = False) -> None:
         named: LogicalScenario | None = LOGICAL_SCENARIOS.get(env)
         self._logical = DrawnLogicalScenario.from_json(logical) if logical else named
-        self._near_misses = near_misses
+        self._nearness = nearness
         self.functions = {JUDGE: self._judge}
 
     def _judge(self, request: bytes) -> bytes:
         parts = iter(unpacked(request))
         pairs = zip(parts, parts, strict=True)
-        return packed([judged(data, drawn, self._logical, near_misses=self._near_misses) for drawn, data in pairs])
+        return packed([judged(data, drawn, self._logical, nearness=self._nearness) for drawn, data in pairs])
 
     def confine(self) -> None:
         """Give up the rights of this process, because traces come from processes of third-party code."""
@@ -244,12 +244,12 @@ class Judges:
     """Processes that judge the traces of a campaign, which arrive one by one and are judged in groups.
 
     A group begins as soon as a process is free, with all traces that have arrived until then. There are none if no
-    workers drive. With `near_misses`, the traces know how near they came to a failure.
+    workers drive. With `nearness`, the traces know how near they came to a failure.
     """
 
-    def __init__(self, n_workers: int, logical: LogicalScenario | None = None, *, near_misses: bool = False) -> None:
+    def __init__(self, n_workers: int, logical: LogicalScenario | None = None, *, nearness: bool = False) -> None:
         self._count = -(-n_workers // WORKERS_OF_A_JUDGE)
-        self._settings: dict[str, Any] = {"near_misses": near_misses}
+        self._settings: dict[str, Any] = {"nearness": nearness}
         self._settings |= {"env": logical.name, "logical": logical.to_json()} if logical else {}
         self._knows = logical is not None and bool(logical.to_json() or logical.name in LOGICAL_SCENARIOS)
         self._pool: WorkerPool | None = None
@@ -321,35 +321,33 @@ class Judges:
         self._send()
 
 
-def judged(
-    data: bytes, drawn: bytes = b"", logical: LogicalScenario | None = None, *, near_misses: bool = False
-) -> bytes:
+def judged(data: bytes, drawn: bytes = b"", logical: LogicalScenario | None = None, *, nearness: bool = False) -> bytes:
     """Judge the bytes of a trace by the built-in specs.
 
     Return the lines of a `behavexplor.campaign.judgment.Judgment`, and after a zero the ego's states as float32, see
     `behavexplor.behavior.features.state_matrix`; or a line with an error in place of the figures if the bytes are no
     trace, which is the failure of the driver. Two lines follow: the scenario, if it was `drawn` by a seed and a number,
-    and the near miss, if it is asked for.
+    and the nearness to a failure, if it is asked for.
     """
     try:
         found = judgment(data, None, SPECS)
     except ADSError as error:
         return "\n".join([*lines_of({"error": error.message}), "", ""]).encode() + _END
     scenario = ENCODED(logical.sample(draws(*json.loads(drawn))).to_dict()) if drawn and logical else ""
-    near_miss = json.dumps(NearMiss.of(found.trace, found.verdict)) if near_misses else ""
-    return "\n".join([*found.lines, scenario, near_miss]).encode() + _END + state_matrix(found.trace).tobytes()
+    near = json.dumps(Nearness.of(found.trace, found.verdict)) if nearness else ""
+    return "\n".join([*found.lines, scenario, near]).encode() + _END + state_matrix(found.trace).tobytes()
 
 
 def _set(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
     """Set what `judged` has returned on a future."""
     head, _, states = found.partition(_END)
-    *lines, scenario, near_miss = head.decode().split("\n")
+    *lines, scenario, near = head.decode().split("\n")
     values = json.loads(f"{{{','.join(lines)}}}")
     if "error" in values:
         judging.set_exception(ADSError("crash", values["error"]))
         return
     matrix = np.frombuffer(states, dtype=np.float32).reshape(-1, len(ATTRIBUTES))
-    computed = known_states("route", matrix) | (known_near_miss(*json.loads(near_miss)) if near_miss else {})
+    computed = known_states("route", matrix) | (known_nearness(*json.loads(near)) if near else {})
     trace = Trace.of_packed(data, **computed)
     verdict, outcome = Verdict(values["degrees"], tuple(values["violated"])), (values["end"], values["duration"])
     named = values.get("class"), values.get("fault")

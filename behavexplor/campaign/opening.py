@@ -128,8 +128,8 @@ def _recipe(config: CampaignConfig) -> Recipe:
 def _judges(config: CampaignConfig, workers: int, logical: LogicalScenario) -> Judges:
     """Return the judges of a campaign: none for a short one, or if the user's own specs judge, too."""
     is_long = (Budget.parse(config.budget).executions or LEAST) >= LEAST
-    near_misses = getattr(load_method(config.method), "uses_near_misses", False)
-    return Judges(workers if is_long and not config.specs else 0, logical, near_misses=near_misses)
+    nearness = getattr(load_method(config.method), "uses_nearness", False)
+    return Judges(workers if is_long and not config.specs else 0, logical, nearness=nearness)
 
 
 def _of_idle_workers(config: CampaignConfig, workers: int) -> list[str]:

@@ -23,7 +23,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.search import MAX_POPULATION, UNIFORM, Candidate
 from behavexplor.fuzz.vector_search import Asker
-from behavexplor.judge.closest_approach import NearMiss
+from behavexplor.judge.closest_approach import Nearness
 from behavexplor.judge.specs import Verdict
 
 CHILD: Final = "child"  # origin of candidates
@@ -54,7 +54,7 @@ class Niching:
     """Ours: evolution toward near misses, whose score gets worse the more often their kind of situation was seen."""
 
     Options: ClassVar[type] = NichingOptions
-    uses_near_misses: ClassVar[bool] = True
+    uses_nearness: ClassVar[bool] = True
 
     def __init__(self, logical: LogicalScenario, seed: int, options: NichingOptions) -> None:
         self._options = options
@@ -90,7 +90,7 @@ class Niching:
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
         """Count the niche of an execution, and keep the best parents; tell the `time_left` until a collision [s]."""
-        time_left, niche = NearMiss.of(trace, verdict)
+        time_left, niche = Nearness.of(trace, verdict)
         score = 0.0 if verdict.violated else _LEAST + time_left
         self._seen[niche] += 1
         self._parents.append(_Parent(candidate.number, self._asker.told(candidate), score, niche))

@@ -76,8 +76,8 @@ class SearchMethod(Protocol):
 
     A method may have an attribute `foreseen`: how many of its next candidates no further result can change, such as
     the rest of a generation. A campaign asks for them early, so that all workers have enough to do. With an attribute
-    `uses_near_misses` that is true, the processes that judge also compute what
-    `behavexplor.judge.closest_approach.NearMiss.of` returns.
+    `uses_nearness` that is true, the processes that judge also compute what
+    `behavexplor.judge.closest_approach.Nearness.of` returns.
     """
 
     Options: ClassVar[type]

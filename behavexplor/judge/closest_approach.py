@@ -1,4 +1,4 @@
-"""The moment at which an ego came nearest to a collision, the kind of situation that it was in, and near misses.
+"""The moment at which an ego came nearest to a collision, and the kind of situation that it was in.
 
 The measure is the time to collision: the time until two vehicles touch if both keep their velocities.
 """
@@ -27,7 +27,7 @@ _SPEEDS: Final = (6.0, 14.0, 22.0)  # edges between kinds of the ego's speeds [m
 _DISC_PLACE: Final = 0.34  # of the outer two of a vehicle's three discs, as a share of its length
 _DISC_RADIUS: Final = 0.55  # as a share of its width
 
-_KNOWN: Final = "_near_miss"  # attribute of a trace
+_KNOWN: Final = "_nearness"  # attribute of a trace
 
 Niche = tuple[str | int, ...]
 
@@ -69,7 +69,7 @@ class ClosestApproach:
         return *words, sector, int(np.digitize(closing, _CLOSING)), int(np.digitize(speed, _SPEEDS)), *command
 
 
-class NearMiss(NamedTuple):
+class Nearness(NamedTuple):
     """How near an execution came to a failure, and in what kind of situation."""
 
     time_left: float  # least time to collision, `LONGEST` at most [s]
@@ -89,9 +89,9 @@ class NearMiss(NamedTuple):
         return cls(time_left, nearest.niche(trace) if nearest else None)
 
 
-def known_near_miss(time_left: float, niche: list[str | int] | None) -> dict[str, Any]:
+def known_nearness(time_left: float, niche: list[str | int] | None) -> dict[str, Any]:
     """Return what another process has computed, as an argument of `Trace.of_packed`."""
-    return {_KNOWN: NearMiss(time_left, None if niche is None else tuple(niche))}
+    return {_KNOWN: Nearness(time_left, None if niche is None else tuple(niche))}
 
 
 def _before_contact(trace: Trace, partner: int) -> int:

@@ -25,7 +25,7 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.messages import packed, unpacked
-from behavexplor.judge.closest_approach import NearMiss
+from behavexplor.judge.closest_approach import Nearness
 from behavexplor.judge.specs import SPECS, judge
 from tests.fakes import LOGICAL, simulate
 
@@ -71,15 +71,15 @@ def test_a_judge_says_what_the_campaign_would_say(judges):
     assert any(future.result().verdict.failed for future in futures)
 
 
-def test_a_judge_computes_near_misses_if_the_method_uses_them():
-    made = ready(Judges(1, near_misses=True))
+def test_a_judge_computes_how_near_a_failure_was_if_the_method_uses_it():
+    made = ready(Judges(1, nearness=True))
     futures, found = [made.follow(done(data)) for data in TRACES], set()
     for future, data in zip(futures, TRACES, strict=True):
         judged_one, trace = future.result(60), Trace.from_bytes(data)
-        near_miss = NearMiss.of(judged_one.trace, judged_one.verdict)
-        assert near_miss == NearMiss.of(trace, judge(trace, SPECS))
+        nearness = Nearness.of(judged_one.trace, judged_one.verdict)
+        assert nearness == Nearness.of(trace, judge(trace, SPECS))
         assert "position" not in vars(judged_one.trace)  # nothing has been read
-        found.add(near_miss)
+        found.add(nearness)
     made.shutdown()
     assert len(found) > 5
 
