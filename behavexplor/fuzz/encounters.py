@@ -289,7 +289,10 @@ class Encounters:
         return npcs, TUNED
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Keep the violation, or each near miss, in its niche, which is `improved` by a nearer miss or a first one."""
+        """Keep the violation, or each near miss, in its niche.
+
+        Return how many niches were `improved`: they have a nearer miss now, or their first one.
+        """
         drive = Drive.of(trace)
         if candidate.origin == EMPTY_ROAD:
             self._empty_road = drive
