@@ -49,7 +49,7 @@ from behavexplor.judge.specs import ERROR
 
 
 @dataclass(frozen=True)
-class How:
+class RunFlags:
     """How a campaign runs.
 
     Attributes:
@@ -200,7 +200,7 @@ _SEARCH = settings(
 
 def fuzz(
     *,
-    how: Annotated[How, tyro.conf.arg(name="")],
+    flags: Annotated[RunFlags, tyro.conf.arg(name="")],
     driver: Annotated[dict[str, Any], _DRIVER],
     search: Annotated[dict[str, Any], _SEARCH],
     checks: Annotated[Checks, tyro.conf.arg(name="check"), tyro.conf.OmitArgPrefixes],
@@ -209,27 +209,28 @@ def fuzz(
     """Search for scenarios in which a driving system fails, and store every execution in a run folder.
 
     Args:
-        how: How the campaign runs.
+        flags: How the campaign runs.
         driver: What is tested, and where.
         search: How scenarios are found.
         checks: What makes the campaign fail as a check.
         output: What is printed and written.
     """
-    given, workers, resumed = {**driver, **search}, _checked_workers(how.workers, how.cluster), how.resume
+    given, resumed = {**driver, **search}, flags.resume
+    workers = _checked_workers(flags.workers, flags.cluster)
     text, _ = output.text, checks.known  # files are looked at before the work
-    _check_together(how, given)
-    chosen = _resumed_config(resumed, given) if resumed else _new_config(given, how.config)
+    _check_together(flags, given)
+    chosen = _resumed_config(resumed, given) if resumed else _new_config(given, flags.config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=output.quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
-    folder = resumed or how.out or run_folder(chosen)
+    folder = resumed or flags.out or run_folder(chosen)
     making = opened(
         chosen,
         folder,
         workers,
         resume=resumed is not None,
-        cluster=how.cluster or "",
-        stop_after=how.stop_after,
-        patience=patience(display.say, _WAITING_FOR_NODE, 0.5) if how.cluster else patience(display.say),
+        cluster=flags.cluster or "",
+        stop_after=flags.stop_after,
+        patience=patience(display.say, _WAITING_FOR_NODE, 0.5) if flags.cluster else patience(display.say),
     )
     with making as ready, _stoppable(ready.campaign, display):
         if ready.store.repaired:
@@ -242,11 +243,11 @@ def fuzz(
         return code
 
 
-def _check_together(how: How, given: Mapping[str, Any]) -> None:
+def _check_together(flags: RunFlags, given: Mapping[str, Any]) -> None:
     """Check flags that do not depend on the campaign."""
-    if how.stop_after is not None and how.stop_after < 1:
-        raise InputError(f"--stop-after {how.stop_after} must be at least 1")
-    if how.resume and (how.config or how.out or "specs" in given):
+    if flags.stop_after is not None and flags.stop_after < 1:
+        raise InputError(f"--stop-after {flags.stop_after} must be at least 1")
+    if flags.resume and (flags.config or flags.out or "specs" in given):
         raise InputError(
             "--config, --spec and --out cannot be given with --resume: the run folder already has a configuration"
         )
