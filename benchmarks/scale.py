@@ -13,7 +13,7 @@ from typing import Any
 
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.judgment import Judges
+from behavexplor.campaign.judges import Judges
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.progress import Stage, StageClock
 from behavexplor.campaign.store import Store

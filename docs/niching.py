@@ -28,7 +28,7 @@ from behavexplor.judge.closest_approach import ClosestApproach
 from behavexplor.judge.fault import collision_fault, is_at_fault
 from behavexplor.judge.situation import bearing_of
 from behavexplor.judge.specs import SPECS, judge
-from behavexplor.triage.last_chance import last_chance
+from behavexplor.triage.closed_loop import last_chance
 
 BUDGET, SEEDS, IN_FLIGHT, SLOTS = 750, 10, 8, 32
 RARE = (0.02, 0.1)  # shares of failures among uniform draws; policies between them are compared together

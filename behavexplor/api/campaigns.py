@@ -8,7 +8,7 @@ import gymnasium
 
 from behavexplor.ads.in_memory import GivenDriver, given_driver
 from behavexplor.api.conducting import conduct
-from behavexplor.api.evaluating import environment_of, given_config
+from behavexplor.api.given_environments import environment_of, given_config
 from behavexplor.api.observers import Observer
 from behavexplor.api.run import Run
 from behavexplor.campaign.config import CampaignConfig, campaign_config, run_folder

@@ -1,4 +1,7 @@
-"""Progress of a campaign for users of the Python interface: nothing in scripts, one line in notebooks, or a bar."""
+"""Progress of a campaign for users of the Python interface: nothing in scripts, one line in notebooks, or a bar.
+
+Also the console on which this and the tables of the commands are printed.
+"""
 
 import sys
 from collections.abc import Callable, Iterator

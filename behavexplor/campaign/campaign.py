@@ -22,7 +22,8 @@ import numpy as np
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.confirmation import unconfirmed
-from behavexplor.campaign.judgment import Judges, Judgment, ads_failure, confirmed, judgment
+from behavexplor.campaign.judges import Judges
+from behavexplor.campaign.judgment import Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
 from behavexplor.campaign.record import ENCODED, ERROR, Record, WrittenValues
 from behavexplor.campaign.store import Execution, Store

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import chain, count, islice
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -239,8 +239,11 @@ def _readable(path: Path) -> Iterator[Row]:
 
 def _free_name(path: Path) -> Path:
     """Return an unused path for a damaged file, beside damaged files of earlier times."""
-    names = (path.with_name(f"{path.name}.damaged{number}") for number in chain([""], count(2)))
-    return next(name for name in names if not os.path.lexists(name) and not os.path.lexists(wal_of(name)))
+    name, number = path.with_name(f"{path.name}.damaged"), 1
+    while os.path.lexists(name) or os.path.lexists(wal_of(name)):
+        number += 1
+        name = path.with_name(f"{path.name}.damaged{number}")
+    return name
 
 
 def _checked(found: tuple[Any, ...]) -> Row:

@@ -1,4 +1,4 @@
-"""Setup and teardown of a campaign: its search method, executor, ADS check and run folder."""
+"""Setup and teardown of a campaign: its search method, executor, ADS check and run folder; and its end by signals."""
 
 import signal
 import sys
@@ -15,7 +15,7 @@ from behavexplor.ads.interface import ADS
 from behavexplor.behavior.miner import NoveltyArchive, k_means
 from behavexplor.campaign.campaign import TOGETHER, Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, point_to_latest, stored_config
-from behavexplor.campaign.judgment import FRAMES, LEAST, Judges, pass_by
+from behavexplor.campaign.judges import FRAMES, LEAST, Judges, pass_by
 from behavexplor.campaign.progress import Stage
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.same_driver import check_identity, identity_of
@@ -95,7 +95,7 @@ def opened(
         with patience or nullcontext():
             executor = start_executor(config.target, workers, cluster, recipe, driver)
             stack.callback(executor.shutdown, wait=False)
-            warnings = check_ads(executor, meanwhile=load_analysis) + _of_idle_workers(config, workers)
+            warnings = check_ads(executor, meanwhile=load_analysis) + _warnings_of_idle_workers(config, workers)
         logical = logical or logical_of_target(executor, config.env)
         search = search or search_method(config, logical)
         if not resume and (warning := remember(own)) is not None:
@@ -105,7 +105,8 @@ def opened(
         check_identity(store, identity)
         _complete(folder, logical, executor)
         judges = _judges(config, workers, logical)
-        stack.callback(judges.shutdown)
+        if judges is not None:
+            stack.callback(judges.shutdown)
         campaign = Campaign(config, search, logical, store, executor, specs, stop_after, judges)
         campaign.clock.seconds[Stage.STARTING] = time.monotonic() - begun
         yield Ready(campaign, store, warnings)
@@ -125,14 +126,16 @@ def _recipe(config: CampaignConfig) -> Recipe:
     return evaluator_recipe(config.target, LOCK_STEP if _foresees(config) else config.batch)
 
 
-def _judges(config: CampaignConfig, workers: int, logical: LogicalScenario) -> Judges:
-    """Return the judges of a campaign: none for a short one, or if the user's own specs judge, too."""
+def _judges(config: CampaignConfig, workers: int, logical: LogicalScenario) -> Judges | None:
+    """Return the judges of a campaign; None for a short one, without workers, or if the user's own specs judge, too."""
     is_long = (Budget.parse(config.budget).executions or LEAST) >= LEAST
+    if not (workers and is_long) or config.specs:
+        return None
     nearness = getattr(load_method(config.method), "uses_nearness", False)
-    return Judges(workers if is_long and not config.specs else 0, logical, nearness=nearness)
+    return Judges(workers, logical, nearness=nearness)
 
 
-def _of_idle_workers(config: CampaignConfig, workers: int) -> list[str]:
+def _warnings_of_idle_workers(config: CampaignConfig, workers: int) -> list[str]:
     """Return a warning about workers to which the batch gives nothing to do; none if there are none."""
     if workers <= config.batch or _foresees(config):
         return []

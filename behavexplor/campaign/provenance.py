@@ -70,7 +70,7 @@ class Claim:
         modules = digests_of(one.module for one in self.code)
         files = files_of_model(self.policy)
         read = [(path.name, hashlib.sha256(read_file(path, MAX_BYTES)).hexdigest()) for path in files]
-        return modules, [digest_of(self.values, _of(modules, part), read) for part in parts]
+        return modules, [digest_of(self.values, _named_by(modules, part), read) for part in parts]
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = A
         return Permission()
     modules, digests = claim.digests(claim.code, left)
     if any(digest in consent.trust or is_own(digest) for digest in digests):
-        import_checked(_of(modules, [one for one in running if one.key in _HERE]))
-        return Permission(True, _of(modules, [one for one in running if one.key in _IN_WORKERS]), tuple(digests))
+        import_checked(_named_by(modules, [one for one in running if one.key in _HERE]))
+        return Permission(True, _named_by(modules, [one for one in running if one.key in _IN_WORKERS]), tuple(digests))
     if running:
         raise _refusal(claim, running, digests[-1])
     return Permission(digests=tuple(digests))
@@ -188,7 +188,7 @@ def remember(digests: Iterable[str]) -> str | None:
     return None
 
 
-def _of(modules: Mapping[str, str], code: Iterable[Code]) -> dict[str, str]:
+def _named_by(modules: Mapping[str, str], code: Iterable[Code]) -> dict[str, str]:
     """Return the digests of the modules of code, and of their packages."""
     inside = tuple(f"{one.module}." for one in code)
     return {name: digest for name, digest in modules.items() if any(one.startswith(f"{name}.") for one in inside)}

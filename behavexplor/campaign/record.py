@@ -1,4 +1,7 @@
-"""Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object."""
+"""Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object.
+
+Also the names of the files in a run folder, and what it has lost of them.
+"""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -1,4 +1,7 @@
-"""The figures of a run at one moment, read from its folder: for the terminal, for a JSON file and for notebooks."""
+"""The figures of a run at one moment, read from its folder: for the terminal, for a JSON file and for notebooks.
+
+Also the records of each class, and lines of Python that drive an execution again.
+"""
 
 from collections.abc import Iterable, Mapping
 from contextlib import closing
@@ -62,7 +65,7 @@ class RunSummary:
     def words(self) -> str:
         """What has failed, in words."""
         kinds = f"{len(self.classes)} class{'' if len(self.classes) == 1 else 'es'}"
-        others = of_others(self.failed - self.at_fault)
+        others = words_of_others_faults(self.failed - self.at_fault)
         return f"{self.failed} failed ({self.failure_rate:.1%}) in {kinds}{others}"
 
     @property
@@ -137,7 +140,7 @@ def by_class(records: Iterable[Record]) -> dict[str, list[Record]]:
     return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0].id)))
 
 
-def of_others(count: int) -> str:
+def words_of_others_faults(count: int) -> str:
     """Return how many failures were another vehicle's fault, in words. Of the others, `triage` tells it."""
     return f"; {count} of the failures by another vehicle's fault" if count else ""
 

@@ -1,4 +1,4 @@
-"""Comparison of a campaign's driver with the one that it had when it began."""
+"""Comparison of a campaign's driver with the one that it had when it began, and a run's configuration after that."""
 
 import hashlib
 import warnings

@@ -35,7 +35,7 @@ def demo(
         browser: Open the report in a browser.
     """
     try:
-        from behavexplor.sb3.fuzz_callback import train_small_policy  # noqa: PLC0415 - torch need not be installed
+        from behavexplor.sb3.small_policy import train_small_policy  # noqa: PLC0415 - torch need not be installed
     except ModuleNotFoundError as error:
         raise missing_library("The demo", error.name, "rl") from None
     folder = out or stamped_folder("demo")
@@ -47,7 +47,7 @@ def demo(
         raise InputError(f"{folder} is not empty: choose another --out")
     say(f"Training a small policy with PPO for {steps} steps ...", flush=True)
     with Meter(sys.stderr, steps, "steps", quiet=False) as meter:
-        model = train_small_policy(folder, meter.show, steps)
+        model = train_small_policy(folder, steps, meter.show)
     run = folder / "run"
     code = _run("fuzz", "--ads", model, "--budget", budget, "--out", run)
     if code != OK:

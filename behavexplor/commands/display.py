@@ -18,7 +18,7 @@ from behavexplor.api.observers import PlainConsole
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.confirmation import known, not_confirmed
 from behavexplor.campaign.progress import Progress
-from behavexplor.campaign.run_summary import of_others
+from behavexplor.campaign.run_summary import words_of_others_faults
 from behavexplor.campaign.store import Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
 from behavexplor.commands.wording import class_count, clock, hanging
@@ -139,7 +139,7 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
             command,
         ]
         return "\n".join(lines)
-    classes = f"{class_count(len(progress.classes))}{of_others(progress.failed - progress.at_fault)}"
+    classes = f"{class_count(len(progress.classes))}{words_of_others_faults(progress.failed - progress.at_fault)}"
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}) in {classes}"
     lines += [hanging("", f"{failed}. {own}"), "Each failure is counted under its most severe type:"]
     width = max(12, *map(len, progress.violations))

@@ -4,6 +4,7 @@ The world frame is highway-env's: x points to the right, y points down, and head
 lateral offset therefore lies to the right of the direction of travel. Lengths are in meters, angles in radians.
 """
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -75,8 +76,9 @@ def box_distance(a: Floats, b: Floats) -> Floats:
 def gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats) -> tuple[Floats, float]:
     """Bound the distances between the first vehicle and the others by circles, in each frame.
 
-    The circles around and inside the vehicles have the radii `outer` and `inner`, shape (N,) [m]. Lower bounds are
-    infinite in a frame that equals the one before, shape (T, N - 1); the upper bound is that of the least distance [m].
+    Centers have the shape (T, N, 2) [m], headings (T, N) [rad]. The circles around and inside the vehicles have the
+    radii `outer` and `inner`, shape (N,) [m]. Return lower bounds, shape (T, N - 1) [m], which are infinite in a frame
+    that equals the one before; and an upper bound of the least distance of all [m].
     """
     lower = np.empty((len(position), len(outer) - 1))
     upper = box_kernels.fill_gap_bounds(
@@ -98,20 +100,22 @@ def distances_from_first(position: Floats, heading: Floats, size: Floats, frame:
     They are 0 if the boxes touch. Centers have the shape (T, N, 2) [m], headings (T, N) [rad], sizes (N, 2) [m];
     `frame` and `vehicle` say of which pair each distance is, shape (n,).
     """
-    turned, gaps = np.empty((2, len(frame))), np.empty(len(frame))
-    turned[0], turned[1] = heading[frame, 0], heading[frame, vehicle]
+    turned = np.stack([heading[frame, 0], heading[frame, vehicle]])
+    gaps = np.empty(len(frame))
     directions = np.cos(turned), np.sin(turned)  # numpy's own functions, whose last bits differ from C's
     box_kernels.fill_distances_from_first(np.ascontiguousarray(position), *directions, size, frame, vehicle, gaps)
     return gaps
 
 
 def distances_from_segments(position: Floats, heading: Floats, size: Floats, segments: Floats, segment: Ints) -> Floats:
-    """Compute the shortest distances between n equal boxes and their segments of m, (m, 2, 2), shape (n,) [m].
+    """Compute the shortest distance of each of n equal boxes from one of m segments, shape (n,) [m].
 
-    They are 0 if a segment touches or enters the box; `segment` has the index of each box's segment, shape (n,).
+    That of box i is the distance from `segments[segment[i]]`, 0 if they touch or the segment enters the box. Centers
+    have the shape (n, 2) [m], headings (n,) [rad], the size of every box (2,) [m], segments (m, 2, 2) [m], `segment`
+    (n,).
     """
     gaps = np.empty(len(position))
-    directions = np.cos(heading), np.sin(heading)
+    directions = np.cos(heading), np.sin(heading)  # numpy's own functions, whose last bits differ from C's
     box_kernels.fill_distances_from_segments(np.ascontiguousarray(position), *directions, size, segments, segment, gaps)
     return gaps
 
@@ -123,7 +127,7 @@ def near_segments(points: Floats, segments: Floats, reach: float, within: float)
     around each box, one of the radius `within` inside it [m]. Return the indices of the points and of the segments, and
     an upper bound of the least distance [m].
     """
-    blocks = -(-len(points) // box_kernels.BLOCK)
+    blocks = math.ceil(len(points) / box_kernels.BLOCK)
     gaps = np.empty((blocks, len(segments)))
     point, segment = np.empty((2, blocks * box_kernels.BLOCK * len(segments)), dtype=np.intp)
     count, upper = box_kernels.fill_near_segments(
@@ -184,7 +188,10 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
 
 @lru_cache(maxsize=8)  # all traces of a scene have the same route
 def _pieces(vertices: bytes) -> tuple[Floats, Floats, Floats]:
-    """Return directions and lengths of segments, (P - 1, 3), the stations of vertices, and headings without jumps."""
+    """Return directions and lengths of segments, (P - 1, 3), the stations of vertices, and headings without jumps.
+
+    `vertices` are the bytes of floats of shape (P, 2), because the cache needs a key.
+    """
     along = np.diff(np.frombuffer(vertices).reshape(-1, 2), axis=0)
     length = np.hypot(along[:, 0], along[:, 1])
     ends = np.concatenate([[0.0], np.cumsum(length)])

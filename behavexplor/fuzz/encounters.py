@@ -59,8 +59,12 @@ def near_misses(trace: Trace, verdict: Verdict, drive: Drive, reach: float) -> l
     system failed is left out, too. A vehicle farther away than `reach` [m] is no near miss.
     """
     if not verdict.failed:
-        ends = _near_ends(trace, drive)
-        return [*_near_vehicles(trace, drive, reach), *_near_lines(trace, drive), *ends, *_near_specs(trace, verdict)]
+        return [
+            *_near_vehicles(trace, drive, reach),
+            *_near_lines(trace, drive),
+            *_near_ends(trace, drive),
+            *_near_specs(trace, verdict),
+        ]
     event = violation_event(trace, verdict.violated)
     if event is None or (event.spec == R1 and contact_fault(trace) in NPC_CAUSED):
         return []
@@ -143,12 +147,15 @@ def _near_specs(trace: Trace, verdict: Verdict) -> Iterator[NearMiss]:
 def _miss(
     trace: Trace, event: ViolationEvent, degree: float, kind: ViolationClass | None = None, end: str | None = None
 ) -> NearMiss:
-    kind = kind or event_class(trace, event, end)
-    motion = [motion_of(trace, event.frame, event.partner) or "moving"] if event.spec == R1 else []
-    return NearMiss(event.spec, "/".join([kind.id, *motion]), degree, _partner(trace, event))
+    """Return the near miss of an event. Its class is `kind` if that is known already, or else that of `event_class`."""
+    niche = (kind or event_class(trace, event, end)).id
+    if event.spec == R1:
+        niche += f"/{motion_of(trace, event.frame, event.partner) or 'moving'}"
+    return NearMiss(event.spec, niche, degree, _partner(trace, event))
 
 
 def _partner(trace: Trace, event: ViolationEvent) -> int:
+    """Return the index of the NPC that took part or was nearest; -1 without NPCs."""
     if event.spec == R1:
         return event.partner - 1
     gap = trace.position[event.frame, 1:] - trace.position[event.frame, 0]
@@ -237,7 +244,8 @@ class Encounters:
             return Candidate(number, self._logical.sample(rng), UNIFORM, None)
         if niche is None:
             return Candidate(number, self._aimed_scenario(rng, self._empty_road), AIMED, None)
-        elite = niche.elites[min(int(rng.exponential()), len(niche.elites) - 1)]
+        rank = int(rng.exponential())  # mostly 0, the nearest miss; now and then a farther one, which differs from it
+        elite = niche.elites[min(rank, len(niche.elites) - 1)]
         npcs, origin = self._mutate(rng, elite)
         return Candidate(number, self._filled(rng, npcs), origin, elite.candidate.number)
 
@@ -276,11 +284,11 @@ class Encounters:
         others = [i for i in range(len(npcs)) if i != partner]
         kind = rng.random()
         if kind < self._options.aimed_share or not npcs:
-            if len(npcs) == self._logical.n_npcs and npcs:
-                del npcs[others[rng.integers(len(others))] if others else 0]
+            if npcs and len(npcs) == self._logical.n_npcs:  # one makes room; the partner only if there is no other
+                del npcs[others[rng.integers(len(others))] if others else partner]
             return self._with_aimed(rng, elite.drive, npcs), AIMED
         if kind < self._options.aimed_share + self._options.redrawn_share and others:
-            del npcs[others[rng.integers(len(others))]]
+            del npcs[others[rng.integers(len(others))]]  # its place is filled by a new one
             return npcs, REDRAWN
         tunes_partner = partner >= 0 and rng.random() < 0.8
         i = partner if tunes_partner else int(rng.integers(len(npcs)))

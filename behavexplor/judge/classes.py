@@ -171,7 +171,9 @@ def event_class(trace: Trace, event: ViolationEvent, end: str | None = None) -> 
         return _collision(trace, event)
     if event.spec == R2:
         return _line(trace, event)
-    return (_destination if event.spec == R3 else _other)(trace, event, end or trace.end)
+    if event.spec == R3:
+        return _destination(trace, event, end or trace.end)
+    return _other(trace, event, end or trace.end)
 
 
 def _collision(trace: Trace, event: ViolationEvent) -> ViolationClass:

@@ -7,7 +7,7 @@ catchability", Biometrics 43, 1987. M. Boehme, "STADS: Software testing as speci
 them for fuzzers.
 
 The estimates hold for independent executions, as uniform sampling makes them. The executions of a guided search are not
-independent: in docs/results.md, the intervals of BehAVExplor held in 27 of 40 campaigns, and those of encounters in 11.
+independent, and their intervals hold less often (docs/results.md, "What the estimates of unseen classes were worth").
 So nothing is said of what such a search has not found.
 """
 
@@ -20,8 +20,8 @@ from typing import Final, Self
 import scipy
 
 INDEPENDENT: Final = frozenset({"uniform"})  # search methods whose executions are independent
-LEVEL: Final = 0.95
-_STRICT: Final = 0.995
+LEVEL: Final = 0.95  # probability with which a limit is to hold
+_STRICT: Final = 0.995  # level at which E[chance] is limited, so that the limit holds for the chance itself at `LEVEL`
 _Z: Final = 1.96  # quantile of the normal distribution for an interval of 95 %
 
 
@@ -29,8 +29,8 @@ _Z: Final = 1.96  # quantile of the normal distribution for an interval of 95 %
 class Discovery:
     """Estimates of what a campaign has not found yet."""
 
-    executions: int
-    found: int
+    executions: int  # number of executions, failed or not
+    found: int  # number of classes that were found
     new_chance: float  # probability that the next execution shows a new class (Good-Turing)
     unseen: float  # estimated number of classes not found yet (Chao1). It is a lower bound on average.
     unseen_low: float  # lower end of the 95 % interval of `unseen`
@@ -41,12 +41,14 @@ class Discovery:
     def new_chance_limit(self) -> float:
         """Upper 95 % limit of the probability that the next execution shows a new class.
 
-        The classes seen once are as many as a Poisson draw with `executions` times the mean of that probability as its
-        own. The probability itself varies around its mean, so a stricter level is needed: with `_STRICT`, the limit
-        holds in at least 95 % of campaigns for populations of 40 classes of all kinds, and it is above the rule of
-        three, 3 / `executions`, if no class was seen once.
+        The number of classes seen once is about Poisson distributed, with the mean m = `executions` x E[chance], where
+        the chance is that probability. The exact (chi-square) upper limit of m, divided by `executions`, limits
+        E[chance]. The chance itself varies around E[chance], so the limit is taken at `_STRICT` instead of `LEVEL`.
+        Then it holds in at least 95 % of campaigns for populations of 40 classes of all kinds. If no class was seen
+        once, it is above the rule of three, 3 / `executions`.
         """
-        return min(float(scipy.stats.chi2.ppf(_STRICT, 2 * (self.once + 1))) / 2 / self.executions, 1.0)
+        most = float(scipy.stats.chi2.ppf(_STRICT, 2 * (self.once + 1))) / 2
+        return min(most / self.executions, 1.0)
 
     @property
     def next_limit(self) -> int:
@@ -73,7 +75,15 @@ class Discovery:
         counts = Counter(Counter(classes).values())
         found, once, twice = counts.total(), counts[1], counts[2]
         unseen, low, high = _chao1(found, once, twice, executions)
-        return cls(executions, found, once / executions if executions else math.nan, unseen, low, high, once)
+        return cls(
+            executions=executions,
+            found=found,
+            new_chance=once / executions if executions else math.nan,
+            unseen=unseen,
+            unseen_low=low,
+            unseen_high=high,
+            once=once,
+        )
 
 
 def _chao1(found: int, once: int, twice: int, executions: int) -> tuple[float, float, float]:
@@ -83,7 +93,7 @@ def _chao1(found: int, once: int, twice: int, executions: int) -> tuple[float, f
     share = (executions - 1) / executions
     unseen = share * once * (once - 1) / (2 * (twice + 1))
     variance = (
-        share * once * (once - 1) / (2 * (twice + 1))
+        unseen
         + share**2 * once * (2 * once - 1) ** 2 / (4 * (twice + 1) ** 2)
         + share**2 * once**2 * twice * (once - 1) ** 2 / (4 * (twice + 1) ** 4)
     )

@@ -3,36 +3,27 @@
 import numbers
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.env_util import make_vec_env
 
 from behavexplor.ads.in_memory import given_driver
 from behavexplor.api.campaigns import config_of, find_failures
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import Budget, stamped_folder
 from behavexplor.campaign.run_summary import RunSummary
-from behavexplor.data.durable import folder_in, new_file, write_durably
-from behavexplor.envs.sb3_vec_env import HighwayVecEnv
+from behavexplor.data.durable import folder_in, new_file
 from behavexplor.errors import InputError, brief
 from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
 
 BEST: Final = "best_model.zip"  # file in the callback's folder
 MOST_STEPS: Final = 10**12
-ENV: Final = "highway-fast-v0"
-_STEP: Final = "step-"  # beginning of the names of run folders
-STEPS: Final = 20_000
-_CONFIG: Final = {"lanes_count": 3, "vehicles_count": 20, "duration": 30}  # highway-env's own, said in the model's file
-_ENVS: Final = 32
-_SETTINGS: Final = {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "gamma": 0.9, "learning_rate": 1e-3}
+_ROUND_PREFIX: Final = "step-"  # begins the name of a round's run folder; then comes the number of training steps
 
 
 @dataclass(frozen=True)
@@ -104,8 +95,11 @@ class FuzzCallback(BaseCallback):
         **settings: Any,
     ) -> None:
         super().__init__(verbose)
-        for name, value in {"every": every, "share": share, "stop_below": stop_below}.items():
-            if not (isinstance(value, numbers.Real) or (value is None and name == "stop_below")):
+        given: dict[str, Any] = {"every": every, "share": share}
+        if stop_below is not None:
+            given["stop_below"] = stop_below
+        for name, value in given.items():
+            if not isinstance(value, numbers.Real):
                 raise InputError(f"{name}={brief(value)} must be a number")
         if not 1 <= every <= MOST_STEPS:
             raise InputError(f"every={every} must lie between 1 and {MOST_STEPS} training steps")
@@ -117,7 +111,8 @@ class FuzzCallback(BaseCallback):
         self._out = None if out is None else Path(out)
         self._folder: Path | None = None
         self._settings = {"budget": str(budget), "seed": seed, "specs": tuple(specs), **settings}
-        self._settings |= {} if method is None else {"method": method}
+        if method is not None:
+            self._settings["method"] = method
         self._begin = self._spent = 0.0
         self._next = every
         self.rounds: list[FuzzingRound] = []
@@ -128,8 +123,7 @@ class FuzzCallback(BaseCallback):
         """Folder with the run folders and the best policy of this training: `out`, or training-2, ... in it."""
         if self._folder is None:
             self._out = self._out or stamped_folder("training")
-            names = chain([self._out], (self._out / f"training-{number}" for number in count(2)))
-            self._folder = next(name for name in names if not any(name.glob(f"{_STEP}*")))
+            self._folder = _new_folder(self._out)
         return self._folder
 
     @property
@@ -147,7 +141,8 @@ class FuzzCallback(BaseCallback):
     def _check(self) -> None:
         """Check all that a round needs, because a mistake that shows in the first round costs the training."""
         given: Any = given_driver(self.model)
-        config = config_of(given, self._env, **{"env_config": None, **self._settings})
+        settings = {"env_config": None, **self._settings}  # so that `env_config` in the settings wins
+        config = config_of(given, self._env, **settings)
         Budget.parse(config.budget)
         load_specs(config.specs)
         with start_executor(config.target, 0, driver=given.driver) as executor:
@@ -173,7 +168,7 @@ class FuzzCallback(BaseCallback):
 
     def _round(self) -> FuzzingRound:
         begin = time.monotonic()
-        folder = folder_in(self.folder, f"{_STEP}{self.num_timesteps:09d}")
+        folder = folder_in(self.folder, f"{_ROUND_PREFIX}{self.num_timesteps:09d}")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # a policy may be constant while it learns
             given = given_driver(self.model)
@@ -206,25 +201,11 @@ class FuzzCallback(BaseCallback):
             )
 
 
-def train_small_policy(folder: Path, observe: Callable[[int], None], steps: int = STEPS) -> Path:
-    """Train a small policy with PPO on highway-fast-v0, and return the model's file, beside one that describes it."""
-    compiled: Any = HighwayVecEnv
-    envs = make_vec_env(ENV, _ENVS, seed=0, env_kwargs={"config": _CONFIG}, vec_env_cls=compiled)
-    model = PPO("MlpPolicy", envs, seed=0, device="cpu", **_SETTINGS)  # type: ignore[arg-type]
-    model.learn(steps, callback=_Watch(observe))
-    envs.close()
-    path = folder / "model.zip"
-    with new_file(path) as file:
-        model.save(file)
-    write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": ENV, "config": _CONFIG}))
-    return path
-
-
-class _Watch(BaseCallback):
-    def __init__(self, observe: Callable[[int], None]) -> None:
-        super().__init__()
-        self._observe = observe
-
-    def _on_step(self) -> bool:
-        self._observe(self.num_timesteps)
-        return True
+def _new_folder(out: Path) -> Path:
+    """Return the first of `out` and training-2, training-3, ... in it that has no rounds of an earlier training."""
+    folder = out
+    for number in count(2):
+        if not any(folder.glob(f"{_ROUND_PREFIX}*")):
+            break
+        folder = out / f"training-{number}"
+    return folder

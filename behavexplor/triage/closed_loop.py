@@ -1,8 +1,12 @@
-"""Witnesses in traffic that reacts: drivers that avoid a crash, and fail in no other way, in the whole scenario.
+"""What would have avoided a crash in traffic that reacts: another driver, or other actions at the last decisions.
 
 In a highway-env environment, the other vehicles react to the ego, so a maneuver cannot be tried against their recorded
 motion. Other drivers drive the scenario from its start instead: a careful one, those that always do the same, and some
-of random actions.
+of random actions. A witness is one that avoids the crash, and fails in no other way, in the whole scenario.
+
+In the compiled form of such an environment, an episode can also go on from a copy of its state. So all sequences of the
+policy's own actions are driven from each of its last decisions, and nothing is estimated: if none of them survives, the
+crash was inevitable at that decision.
 """
 
 import json
@@ -14,24 +18,30 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from behavexplor.ads.careful import CarefulDriver
-from behavexplor.data.array_types import Ints
+from behavexplor.data.array_types import Array, Ints
 from behavexplor.data.conventions import MANEUVERS, STANDING_SPEED
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, config_text
 from behavexplor.data.trace import ARRIVED, CRASHED, Trace
+from behavexplor.envs.highway.drawn_vector_env import DrawnVectorEnv
 from behavexplor.envs.making import make_recorded, make_vector_env
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout, rollout_all
+from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import judge
-from behavexplor.triage.findings import OtherDriver
+from behavexplor.triage.findings import LastChance, OtherDriver
 
 CONSTANT: Final = ("SLOWER", "IDLE", "FASTER", "LANE_LEFT", "LANE_RIGHT")  # in the order in which they are named
 RANDOM: Final = 11  # drivers of random actions
 HELD: Final = 2  # decisions for which such a driver keeps an action
 MOST_DECISIONS: Final = 500
 STANDING_STILL: Final = "standing still"  # what a witness is called that avoids the crash by no more than that
+BEYOND: Final = 3  # decisions after the crash without another one, which count as survival
+MOST_BACK: Final = 4  # decisions before the crash
+MOST_BRANCHINGS: Final = 300  # states from which all actions are driven
 
 Actions = Ints
+State = tuple[Array, ...]  # copy of the state of an episode
 Found = Literal["preventable", "standing_still_avoids_it", "unpreventable"] | None
 
 
@@ -133,3 +143,85 @@ def _environment(setup: Setup) -> Any:
 @lru_cache(maxsize=2)
 def _lock_step(setup: Setup, count: int) -> Any:
     return make_vector_env(_environment(setup), count, {})
+
+
+def last_chance(simulation: Simulation, scenario: Any, trace: Trace) -> LastChance | None:
+    """Find the last chance to avoid the crash at the end of an execution.
+
+    Args:
+        simulation: simulation with the environment of the execution; its ADS is not used.
+        scenario: the executed scenario.
+        trace: its trace.
+
+    Returns:
+        The last chance; None if there is none among the last `MOST_BACK` decisions or it takes too long to find it, if
+        the execution ends otherwise, or if the environment has no compiled form or no meta-actions.
+    """
+    if trace.end != "collision" or not scenario.meta_actions:
+        return None
+    branching = _branching(simulation)
+    return None if branching is None else branching.last_chance(scenario, trace.actions[:, 0].astype(np.int64))
+
+
+@lru_cache(maxsize=1)  # making an environment takes longer than a search, and all failures of a run have the same
+def _branching(simulation: Simulation) -> "Branching | None":
+    names = getattr(simulation.env, "meta_actions", ())
+    env: Any = simulation.vector_env(len(names)) if names else None
+    return None if env is None else Branching(env, names)
+
+
+class Branching:
+    """Drives all actions from a state at the same time, each in its own sub-environment.
+
+    Args:
+        env: environment with a sub-environment for each action.
+        names: names of the actions.
+    """
+
+    def __init__(self, env: DrawnVectorEnv, names: tuple[str, ...]) -> None:
+        self._env, self._engine, self._names = env, env.engine, names
+        self._all = np.arange(len(names))
+        self._left = 0  # branchings before the search is given up
+
+    def last_chance(self, scenario: DrawnScenario, actions: Ints) -> LastChance | None:
+        """Find the last chance in an episode that ended with a crash; see `last_chance`.
+
+        Args:
+            scenario: the executed scenario.
+            actions: the actions that were taken, shape (D,).
+        """
+        states = self._states(scenario, actions)
+        self._left = MOST_BRANCHINGS
+        for back in range(1, min(len(states), MOST_BACK) + 1):
+            after = self._branches(states[-back])
+            saving = [
+                name for name, state in zip(self._names, after, strict=True) if self._survives(state, back - 1 + BEYOND)
+            ]
+            if self._left <= 0:
+                return None
+            if saving:
+                return LastChance(back, self._names[actions[-back]], tuple(saving))
+        return None
+
+    def _states(self, scenario: DrawnScenario, actions: Ints) -> list[State]:
+        """Return the state before each decision of an episode; none if it ends without a crash."""
+        self._env.reset(options={"scenarios": [scenario] * len(self._all)})
+        states, crashed = [], np.zeros(1, dtype=bool)
+        for action in actions.tolist():
+            states.append(self._engine.snapshot(0))
+            crashed = self._engine.step(np.full(len(self._all), action))[-1]["crashed"]
+        return states if crashed[0] else []
+
+    def _branches(self, state: State) -> list[State | None]:
+        """Return the state after each action; None after a crash."""
+        self._left -= 1
+        for b in self._all.tolist():
+            self._engine.restore(b, state)
+        crashed = self._engine.step(self._all)[-1]["crashed"]
+        return [None if crashed[b] else self._engine.snapshot(b) for b in self._all.tolist()]
+
+    def _survives(self, state: State | None, decisions: int) -> bool:
+        """Return whether some sequence of so many actions avoids a crash."""
+        if state is None or self._left <= 0:
+            return False
+        return decisions == 0 or any(self._survives(branch, decisions - 1) for branch in self._branches(state))

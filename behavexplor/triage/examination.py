@@ -19,9 +19,9 @@ from behavexplor.execution.start import start_executor
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import SPECS, Spec, judge
 from behavexplor.triage.blame import Blame, blame
+from behavexplor.triage.closed_loop import last_chance
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.findings import Finding, OtherDriver, Witness, trace_finding, witness_values
-from behavexplor.triage.last_chance import last_chance
 from behavexplor.triage.signatures import signature
 
 STREAM: Final = 0x7472_6961  # separates the random numbers of triage from those of campaigns

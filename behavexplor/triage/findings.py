@@ -79,7 +79,7 @@ class Finding:
         in_junction: whether the ego was in a junction at the collision.
         avoidance: name of the witness, stored in the file that `witness_path` returns; None without a witness.
         tried: number of evasions that were executed in search of a witness.
-        last_chance: last chance to avoid a crash; None if none was found, see `behavexplor.triage.last_chance`.
+        last_chance: last chance to avoid a crash; None if none was found, see `behavexplor.triage.closed_loop`.
         signature: likely cause, see `behavexplor.triage.signatures`; None unless the rule planner drove.
         cause: primary cause, see `behavexplor.triage.counterfactual.Cause`; None unless the rule planner drove.
         necessary: weaknesses without which the failure does not happen.

@@ -1,4 +1,7 @@
-"""Triage of a whole run: every failure is examined once, and the findings are kept in the run folder."""
+"""Triage of a whole run: every failure is examined once, and the findings are kept in the run folder.
+
+Also how well given labels agree with true ones, and which weaknesses of the rule planner a run has reached.
+"""
 
 import json
 from collections import deque

@@ -5,7 +5,7 @@ import pytest
 from gymnasium.wrappers import TimeLimit, TransformReward
 
 from behavexplor.api.campaigns import find_failures
-from behavexplor.api.evaluating import environment_of
+from behavexplor.api.given_environments import environment_of
 from behavexplor.errors import InputError
 
 

@@ -18,7 +18,8 @@ from behavexplor.behavior.features import state_matrix
 from behavexplor.campaign import opening
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.judgment import Judges, judged, judgment, repeat_execution
+from behavexplor.campaign.judges import Judges, judged
+from behavexplor.campaign.judgment import judgment, repeat_execution
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from behavexplor.execution.simulation import Simulation
-from behavexplor.triage import last_chance as module
-from behavexplor.triage.last_chance import BEYOND, MOST_BACK, last_chance
+from behavexplor.triage import closed_loop as module
+from behavexplor.triage.closed_loop import BEYOND, MOST_BACK, last_chance
 
 NAMES = ["LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER"]
 
