@@ -1,4 +1,4 @@
-"""The file of a model, and what files beside it say: its environment, configuration, and preparation of observations."""
+"""The file of a model, and what the files beside it say: environment, configuration, preparation of observations."""
 
 import re
 from collections.abc import Mapping
