@@ -87,7 +87,8 @@ def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDrive
     Raises:
         InputError: if the variant is neither one or two such numbers nor a meta-action, or is not possible there.
     """
-    is_maneuver, is_theirs = variant in MANEUVERS, roadmap is None
+    is_maneuver = variant in MANEUVERS
+    is_theirs = roadmap is None
     if is_maneuver and not is_theirs:
         raise InputError(
             f"constant:{variant} drives in highway-env's own environments only: use an acceleration [m/s2] here, such "

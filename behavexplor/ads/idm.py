@@ -24,6 +24,8 @@ JAM_GAP: Final = 5.0  # s0, gap at standstill [m]
 TIME_GAP: Final = 1.5  # T, time gap to the vehicle ahead [s]
 EXPONENT: Final = 4.0  # delta, exponent of the speed
 PERIOD: Final = 0.1  # time between decisions [s]
+OVERLAP: Final = 0.5  # a vehicle that reaches less far into the ego's lane is not in it [m]
+SAME_WAY: Final = math.pi / 4  # greatest angle to the route of a vehicle that drives along it [rad]
 
 
 class IDMDriver:
@@ -45,6 +47,9 @@ class IDMDriver:
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Any]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
+
+        Observations are scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`. The state is returned unchanged; the
+        model has no memory, and is always deterministic.
 
         Raises:
             InputError: if the observation has the wrong shape.
@@ -107,9 +112,12 @@ def _leader(path: Path, scene: Floats, station: float) -> tuple[float, float]:
     for i in range(EGO + 1, len(scene)):
         other = scene[i]
         there, aside = project_on_path(path, other[X], other[Y])
+        if other[PRESENT] == 0.0 or there <= station:
+            continue
         turned = other[HEADING] - pose_on_path(path, there)[2]
-        on_lane = abs(aside) < (path.lane_width + other[WIDTH]) / 2 - 0.5 and math.cos(turned) > math.cos(math.pi / 4)
+        is_aside = abs(aside) >= (path.lane_width + other[WIDTH]) / 2 - OVERLAP
+        goes_along = math.cos(turned) > math.cos(SAME_WAY)
         gap = there - station - (other[LENGTH] + scene[EGO, LENGTH]) / 2
-        if other[PRESENT] != 0.0 and on_lane and there > station and gap < nearest:
+        if goes_along and not is_aside and gap < nearest:
             nearest, leader_speed = gap, other[SPEED] * math.cos(turned)
     return nearest, leader_speed

@@ -74,7 +74,8 @@ def _is_model(given: Any) -> bool:
 def _learned(model: Any) -> GivenDriver | None:
     """Return the driver of a model that trains in `behavexplor.sb3.learning_env`; None for any other model."""
     module = sys.modules.get("behavexplor.ads.learned.learning")
-    env, wrappers = model.get_env(), []
+    env = model.get_env()
+    wrappers = []
     while module is not None and env is not None and not isinstance(env, module.LearningVecEnv):
         wrappers.append(type(env).__name__)
         env = getattr(env, "venv", None)

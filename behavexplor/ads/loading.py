@@ -1,4 +1,4 @@
-"""Load driving systems under test by name."""
+"""Driving systems under test by their names, from files, modules or this package; and functions as drivers."""
 
 import inspect
 from collections.abc import Callable, Collection, Mapping

@@ -18,7 +18,8 @@ from behavexplor.data.named_code import env_code
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
-from behavexplor.exchange.scenes import SceneFile, restored
+from behavexplor.exchange.restoring import restored
+from behavexplor.exchange.scenes import SceneFile
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import fewest_workers, start_executor

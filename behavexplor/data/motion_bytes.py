@@ -1,4 +1,4 @@
-"""Motion as few bytes that compress well: second differences over time."""
+"""Motion as few bytes that compress well, by second differences over time; and arrays by name, compressed."""
 
 import threading
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from behavexplor.jit import kernel_in_place
 
 MOST_VALUES: Final = 20_000_000  # of one quantity of all vehicles in all frames
 LEVEL: Final = 3
-MAX_BYTES: Final = 450_000_000  # unpacked size; the largest trace has 41 bytes for each of 10 million places
+MAX_UNPACKED: Final = 450_000_000  # bytes; the largest trace has 41 for each of 10 million vehicles in frames
 
 
 def pack_motion(motion: Floats, resolution: float) -> Bytes:
@@ -25,8 +25,9 @@ def pack_motion(motion: Floats, resolution: float) -> Bytes:
     frames, *rest = motion.shape
     rows = np.ascontiguousarray(motion).reshape(frames, -1)
     changes = np.empty(rows.shape[::-1], dtype=np.int64)
-    planes = np.empty((fill_changes(rows, resolution, changes), *changes.shape), dtype=np.uint8)
-    fill_bytes(changes, planes)
+    n_bytes = _fill_changes(rows, resolution, changes)
+    planes = np.empty((n_bytes, *changes.shape), dtype=np.uint8)
+    _fill_bytes(changes, planes)
     return planes.reshape(-1, *rest, frames)
 
 
@@ -36,24 +37,26 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     Raises:
         InputError: if the bytes have another shape.
     """
-    if planes.dtype != np.uint8 or planes.ndim < 2 or not 1 <= len(planes) <= 8 or planes.shape[-1] != frames:
+    is_packed = planes.dtype == np.uint8 and planes.ndim >= 2 and 1 <= len(planes) <= 8
+    has_frames = planes.shape[-1:] == (frames,)
+    if not (is_packed and has_frames):
         raise InputError("Not a trace, or a damaged one: its motion has a wrong shape")
     if planes[0].size > MOST_VALUES:
         raise InputError(f"Not a trace: its motion has {planes[0].size} values, more than {MOST_VALUES}")
     motion = np.empty((frames, *planes.shape[1:-1]))
     rows = np.array(planes, order="C").reshape(len(planes), -1, frames)
-    fill_values(rows, resolution, motion.reshape(frames, -1))
+    _fill_values(rows, resolution, motion.reshape(frames, -1))
     motion.setflags(write=False)
     return motion
 
 
 @kernel_in_place
-def fill_changes(motion: Floats, resolution: float, changes: Ints) -> int:
+def _fill_changes(motion: Floats, resolution: float, changes: Ints) -> int:
     """Fill in the second differences of motion, shape (T, n), over time; differences of shape (n, T).
 
     Return the number of bytes that each of them needs, at least 1.
     """
-    size = np.int64(0)
+    bits = np.int64(0)  # those that any difference needs, without its sign
     for i in range(motion.shape[1]):
         before, step = np.int64(0), np.int64(0)
         for t in range(len(motion)):
@@ -61,15 +64,15 @@ def fill_changes(motion: Floats, resolution: float, changes: Ints) -> int:
             change = (now - before) - step
             before, step = now, now - before
             changes[i, t] = change
-            size |= change ^ (change >> 63)  # the bits below the sign
+            bits |= change ^ (change >> 63)
     count = 1
-    while count < 8 and size >> (8 * count - 1):
+    while count < 8 and bits >> (8 * count - 1):
         count += 1
     return count
 
 
 @kernel_in_place
-def fill_bytes(changes: Ints, planes: Bytes) -> None:
+def _fill_bytes(changes: Ints, planes: Bytes) -> None:
     """Fill in the lowest bytes of differences, shape (n, T); bytes of shape (b, n, T)."""
     for k in range(len(planes)):
         for i in range(len(changes)):
@@ -78,7 +81,7 @@ def fill_bytes(changes: Ints, planes: Bytes) -> None:
 
 
 @kernel_in_place
-def fill_values(planes: Bytes, resolution: float, motion: Floats) -> None:
+def _fill_values(planes: Bytes, resolution: float, motion: Floats) -> None:
     """Fill in motion, shape (T, n), from the bytes of its differences, shape (b, n, T)."""
     unused = 64 - 8 * len(planes)
     for i in range(motion.shape[1]):
@@ -113,11 +116,11 @@ def unpack_arrays(data: bytes) -> dict[str, Array]:
     """Return the arrays that `pack_arrays` packed. No code in the data is executed.
 
     Raises:
-        ValueError: if the data is of another form, is damaged, or would unpack to more than `MAX_BYTES`.
+        ValueError: if the data is of another form, is damaged, or would unpack to more than `MAX_UNPACKED`.
     """
     try:
         size = zstandard.frame_content_size(data)
-        if not 0 <= size <= MAX_BYTES:
+        if not 0 <= size <= MAX_UNPACKED:
             raise ValueError(f"it declares an unpacked size of {size} bytes")  # noqa: TRY301
         return safetensors.numpy.load(_compression.decompressor.decompress(data))
     except Exception as error:  # both libraries raise several kinds of errors for damaged data

@@ -1,4 +1,4 @@
-"""Roads as OpenDRIVE 1.7, written by the library scenariogeneration.
+"""Roads, with links and junctions, made of lanes, and written as OpenDRIVE 1.7 by the library scenariogeneration.
 
 Every lane is a right lane of a road in its own direction. The reference line of a road is the center line of its
 leftmost lane, and the lane offset says so.

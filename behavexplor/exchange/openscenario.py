@@ -19,7 +19,9 @@ from scenariogeneration.helpers import prettify
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.durable import write_durably
-from behavexplor.exchange import axes
+from behavexplor.data.npc_motion import BEGIN, N_PHASE_COLUMNS, PHASE_SPEED, fill_phases, waypoint_array
+from behavexplor.data.scripted import NPC
+from behavexplor.exchange import axes, properties
 from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest, scenario_digest
 
 AUTHOR: Final = "behavexplor"
@@ -71,11 +73,13 @@ def write_scene(
         rows = _rows(mover, dialect)
         written = replace(mover, speed=_first_speed(mover), center=(_rounded(dialect.axle * mover.size[0]), 0.0))
         if as_routes and mover.script is not None:
-            profile = axes.speed_profile(mover.script)
-            rows, actions = rows[:1], _drive(mover, profile)
+            profile = _speed_profile(mover.script)
+            rows = rows[:1]
+            actions = _drive(mover, profile)
             digest = motion_digest(written, rows, mover.route, profile)
         else:
-            actions, digest = _follow(mover, rows), motion_digest(written, rows)
+            actions = _follow(mover, rows)
+            digest = motion_digest(written, rows)
         entities.add_scenario_object(mover.name, _vehicle(written, digest, dialect))
         _begin(init, written, rows[0])
         if scene.is_ego_free and mover.name == EGO:
@@ -102,20 +106,20 @@ def write_scene(
 
 
 def _facts(scene: SceneFile) -> dict[str, str]:
-    facts = {axes.ENVIRONMENT: scene.environment, axes.VEHICLES: str(len(scene.movers))}
+    facts = {properties.ENVIRONMENT: scene.environment, properties.VEHICLES: str(len(scene.movers))}
     if scene.env_config:
-        facts[axes.ENV_CONFIG] = json.dumps(dict(scene.env_config), sort_keys=True)
+        facts[properties.ENV_CONFIG] = json.dumps(dict(scene.env_config), sort_keys=True)
     if scene.scenario is not None:
-        facts[axes.SCENARIO] = scene.scenario.to_json()
-        facts[axes.RECORDED] = scenario_digest(scene.scenario, len(scene.movers))
+        facts[properties.SCENARIO] = scene.scenario.to_json()
+        facts[properties.RECORDED] = scenario_digest(scene.scenario, len(scene.movers))
     return facts
 
 
 def _properties(facts: dict[str, str]) -> Any:
-    properties = xosc.Properties()
+    made = xosc.Properties()
     for name, value in facts.items():
-        properties.add_property(name, value)
-    return properties
+        made.add_property(name, value)
+    return made
 
 
 def _parameters(scene: SceneFile) -> Any:
@@ -146,9 +150,9 @@ def _vehicle(mover: Mover, digest: str, dialect: Dialect) -> Any:
         made.add_property("type", "ego_vehicle" if mover.name == EGO else "simulation")
         return made
     if mover.script is not None:
-        made.add_property(axes.ROUTE, mover.script.route)
-        made.add_property(axes.WAYPOINTS, axes.waypoint_text(mover.script))
-    made.add_property(axes.RECORDED, digest)
+        made.add_property(properties.ROUTE, mover.script.route)
+        made.add_property(properties.WAYPOINTS, properties.waypoint_text(mover.script))
+    made.add_property(properties.RECORDED, digest)
     return made
 
 
@@ -202,6 +206,20 @@ def _reach(init: Any, destination: Floats, dialect: Dialect) -> list[tuple[str, 
         return [(f"{EGO} drives to its destination", reaching)]
     init.add_init_action(EGO, reaching)
     return []
+
+
+def _speed_profile(npc: NPC) -> Floats:
+    """Return the speed at the end of each phase [m/s] and the duration of the phase [s], shape (P, 2).
+
+    In the last phase, of a second, the vehicle stands. Without it, a player may go on with the last deceleration.
+    """
+    waypoints = waypoint_array(npc)
+    table = np.empty((len(waypoints) + 1, N_PHASE_COLUMNS))
+    n_phases = fill_phases(waypoints, table)
+    phases = table[:n_phases]
+    profile = np.column_stack([phases[1:, PHASE_SPEED], np.diff(phases[:, BEGIN])])
+    profile = np.concatenate([profile, [[0.0, 1.0]]])
+    return np.asarray(np.round(profile, axes.DIGITS))
 
 
 def _drive(mover: Mover, profile: Floats) -> list[tuple[str, Any]]:

@@ -17,7 +17,7 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError, brief
-from behavexplor.exchange import axes
+from behavexplor.exchange import axes, properties
 from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest, scenario_digest
 from behavexplor.exchange.xml_files import Element, read_xml
 
@@ -109,9 +109,11 @@ def read_scene(path: Path) -> SceneFile:
     root = _parsed(path)
     facts = _properties(root.find("FileHeader"))
     scenario = _scenario(facts)
-    if scenario is not None and axes.ENV_CONFIG in facts and _config(facts[axes.ENV_CONFIG]):
-        raise InputError(f"The property {axes.ENV_CONFIG} cannot be given: {axes.SCENARIO} has the configuration")
-    n_vehicles = int(facts[axes.VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(axes.VEHICLES, "")) else 0
+    if scenario is not None and properties.ENV_CONFIG in facts and _config(facts[properties.ENV_CONFIG]):
+        raise InputError(
+            f"The property {properties.ENV_CONFIG} cannot be given: {properties.SCENARIO} has the configuration"
+        )
+    n_vehicles = int(facts[properties.VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(properties.VEHICLES, "")) else 0
     motions = {name: _Motion(name) for name in _names(root)}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         _motion(motions, private.get("entityRef"), private).begin(private)
@@ -122,14 +124,14 @@ def read_scene(path: Path) -> SceneFile:
         raise InputError(f"{path}: its first entity must be the vehicle named {EGO}")
     return SceneFile(
         title=root.find("FileHeader").get("description", ""),
-        environment=facts[axes.ENVIRONMENT],
-        env_config=_config(facts.get(axes.ENV_CONFIG, "{}")),
+        environment=facts[properties.ENVIRONMENT],
+        env_config=_config(facts.get(properties.ENV_CONFIG, "{}")),
         road_file=_road_file(root),
         movers=movers,
         is_ego_free=len(movers[0].time) == 1,
         scenario=scenario,
         n_vehicles=n_vehicles,
-        is_changed=scenario is not None and facts.get(axes.RECORDED) != scenario_digest(scenario, n_vehicles),
+        is_changed=scenario is not None and facts.get(properties.RECORDED) != scenario_digest(scenario, n_vehicles),
     )
 
 
@@ -152,11 +154,11 @@ def _parsed(path: Path) -> Element:
     root = read_xml(path)
     kind = "an OpenSCENARIO catalog" if root.find("Catalog") is not None else _KINDS.get(root.tag, "another XML file")
     header = root.find("FileHeader")
-    if root.tag != _ROOT or header is None or axes.ENVIRONMENT not in _properties(header):
+    if root.tag != _ROOT or header is None or properties.ENVIRONMENT not in _properties(header):
         raise InputError(
             f"{path} is {kind}, and not a scene of behavexplor's environments: only what `behavexplor export` has "
             f"written in OpenSCENARIO 1.2 can be taken, changed or not (its FileHeader has the property "
-            f"{axes.ENVIRONMENT})"
+            f"{properties.ENVIRONMENT})"
         )
     _check_known(root)
     _insert_parameters(root)
@@ -214,12 +216,12 @@ def _motion(motions: dict[str, "_Motion"], name: str | None, element: Element) -
 def _config(text: str) -> dict[str, Any]:
     values = parse_json(text, "a configuration")
     if not isinstance(values, dict):
-        raise InputError(f"The property {axes.ENV_CONFIG} must be an object in JSON, got {brief(values)}")
+        raise InputError(f"The property {properties.ENV_CONFIG} must be an object in JSON, got {brief(values)}")
     return values
 
 
 def _scenario(facts: dict[str, str]) -> Scenario | None:
-    return parse_scenario(facts[axes.SCENARIO]) if axes.SCENARIO in facts else None
+    return parse_scenario(facts[properties.SCENARIO]) if properties.SCENARIO in facts else None
 
 
 def _road_file(root: Element) -> str:
@@ -352,11 +354,10 @@ def _mover(entity: Element, motion: _Motion) -> Mover:
     center, box = (_one(vehicle, f"BoundingBox/{part}") for part in ("Center", "Dimensions"))
     facts, rows = _properties(vehicle), motion.rows
     kind = str(vehicle.get("name", ""))
-    script = (
-        axes.read_script(motion.name, kind, facts[axes.ROUTE], facts.get(axes.WAYPOINTS, ""))
-        if axes.ROUTE in facts
-        else None
-    )
+    script = None
+    if properties.ROUTE in facts:
+        waypoints = facts.get(properties.WAYPOINTS, "")
+        script = properties.read_script(motion.name, kind, facts[properties.ROUTE], waypoints)
     ahead, aside = _number(center, "x"), _number(center, "y")
     mover = Mover(
         name=motion.name,
@@ -370,4 +371,4 @@ def _mover(entity: Element, motion: _Motion) -> Mover:
         center=(ahead, aside),
     )
     digest = motion_digest(mover, rows, np.array(motion.route), np.array(motion.profile))
-    return replace(mover, is_changed=facts.get(axes.RECORDED, "" if script is None else digest) != digest)
+    return replace(mover, is_changed=facts.get(properties.RECORDED, "" if script is None else digest) != digest)

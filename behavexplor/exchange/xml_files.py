@@ -1,4 +1,4 @@
-"""Reading of XML files that may come from elsewhere. Nothing outside a file is loaded."""
+"""XML files that may come from elsewhere: reading, and comparison of roads. Nothing outside a file is loaded."""
 
 from pathlib import Path
 from typing import Any, Final

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from behavexplor.data import trace as trace_module
-from behavexplor.data.motion_bytes import MAX_BYTES, pack_arrays, unpack_arrays
+from behavexplor.data.motion_bytes import MAX_UNPACKED, pack_arrays, unpack_arrays
 from behavexplor.data.trace import MOST_PLACES, Trace
 from behavexplor.data.untrusted import MAX_ARRAY_BYTES
 from behavexplor.errors import InputError
@@ -218,7 +218,7 @@ def test_a_file_with_a_wrong_field_is_refused(field, value, message):
 
 
 def test_bytes_that_would_unpack_to_too_much_are_refused():
-    packing = zstandard.ZstdCompressor().compressobj(size=MAX_BYTES + 1)
+    packing = zstandard.ZstdCompressor().compressobj(size=MAX_UNPACKED + 1)
     bomb = packing.compress(bytes(9)) + packing.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
     with pytest.raises(InputError, match="unpacked size of 450000001 bytes"):
         Trace.from_bytes(bomb)
@@ -268,4 +268,4 @@ def test_bytes_that_unpack_to_much_more_are_refused_before_they_do():
 def test_the_largest_trace_can_be_read_again():
     """As it is with motion that needs all bytes of a number, which absent vehicles do."""
     values = 2 + 1 + 2  # of position, heading and velocity
-    assert MOST_PLACES * (8 * values + 1) + MAX_ARRAY_BYTES // 8 < MAX_BYTES
+    assert MOST_PLACES * (8 * values + 1) + MAX_ARRAY_BYTES // 8 < MAX_UNPACKED

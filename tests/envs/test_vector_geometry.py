@@ -26,7 +26,7 @@ lane_coordinates = called_alone(lane_coordinates)
 lane_heading = called_alone(lane_heading)
 lane_point = called_alone(lane_point)
 line_meets_box = called_alone(line_meets_box)
-next_lane = called_alone(lane_keeping._next_lane)
+next_lane = called_alone(lane_keeping._advance_on_route)
 touches_line = called_alone(touches_line)
 
 ENVS = [IntersectionLeftEnv, LaneChangeEnv]

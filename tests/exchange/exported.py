@@ -11,8 +11,8 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import main
 from behavexplor.commands.roads import road_of
 from behavexplor.data.trace import Trace
+from behavexplor.exchange.restoring import restored
 from behavexplor.exchange.scene_reading import read_scene
-from behavexplor.exchange.scenes import restored
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import SPECS
 

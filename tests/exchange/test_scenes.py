@@ -23,8 +23,9 @@ from behavexplor.envs.making import is_highway, make_env
 from behavexplor.errors import InputError
 from behavexplor.exchange.opendrive import MAX_ERROR, write_road
 from behavexplor.exchange.openscenario import CARLA, STANDARD, write_scene
+from behavexplor.exchange.restoring import MAX_DEVIATION, restored
 from behavexplor.exchange.scene_reading import read_scene
-from behavexplor.exchange.scenes import COLUMNS, MAX_DEVIATION, SceneFile, movers_of, restored
+from behavexplor.exchange.scenes import COLUMNS, SceneFile, movers_of
 from behavexplor.execution.simulation import logical_scenario
 from tests.exchange.exported import difference, failures, fuzz, imported, repeated, schema_errors
 

@@ -4,8 +4,8 @@ import math
 from typing import Final, NamedTuple
 
 from behavexplor.ads.road.path import Path, point_beside, pose_on_path
+from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.traffic import Memory
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
 from behavexplor.data.array_types import Floats, Ints

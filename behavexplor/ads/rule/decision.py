@@ -6,9 +6,9 @@ import numpy as np
 
 from behavexplor.ads.road.path import Path
 from behavexplor.ads.rule import station_time
+from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.speed_search import SpeedPlan
-from behavexplor.ads.rule.traffic import Memory
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, note
 from behavexplor.data.array_types import Ints
 from behavexplor.jit import kernel_inner

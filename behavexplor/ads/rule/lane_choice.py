@@ -4,8 +4,9 @@ import math
 from typing import Final, NamedTuple
 
 from behavexplor.ads.road.path import Path, has_lane, lane_end, oncoming_lane
+from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.traffic import HALF_ALONG, STATION, Memory, Neighbors, neighbors
+from behavexplor.ads.rule.traffic import HALF_ALONG, STATION, Neighbors, neighbors
 from behavexplor.ads.rule.weaknesses import R1_5, R2_3, R3_1, R3_2, R3_3, note
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.jit import kernel_inner

@@ -1,4 +1,4 @@
-"""Options: a path with the best speed along it, and a wait before a junction that cannot be crossed."""
+"""Options: a path with a speed along it, free, searched or in escape; and a wait before a junction."""
 
 import math
 from typing import Final, NamedTuple
@@ -7,6 +7,7 @@ from behavexplor.ads.road.path import Path, limit_at
 from behavexplor.ads.rule import decision
 from behavexplor.ads.rule.control import PERIOD, LateralProfile
 from behavexplor.ads.rule.lane_choice import EgoState, cuts_in, lane_wall
+from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph
 from behavexplor.ads.rule.speed_search import ACCELERATIONS, Nodes, Situation, SpeedPlan, moved, search, stops_inside
@@ -21,7 +22,6 @@ from behavexplor.ads.rule.station_time import (
     StationTime,
     project_obstacles,
 )
-from behavexplor.ads.rule.traffic import Memory
 from behavexplor.ads.rule.weaknesses import R1_5, note
 from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_inner

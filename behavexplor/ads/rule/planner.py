@@ -12,12 +12,13 @@ from behavexplor.ads.road.path import Path, ego_path, pose_on_path, project_on_p
 from behavexplor.ads.rule import lane_choice
 from behavexplor.ads.rule.control import PERIOD, LateralProfile, accelerate, change_profile, keep_profile, steer
 from behavexplor.ads.rule.decision import CREEP, EMERGENCY, STANDING, YIELD, creep, decision_code
+from behavexplor.ads.rule.memory import N_MEMORIES, Memory, as_records
 from behavexplor.ads.rule.option import Option, Surroundings, plan_option
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
 from behavexplor.ads.rule.speed_search import empty_nodes
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS, empty_station_time
-from behavexplor.ads.rule.traffic import N_MEMORIES, N_OTHER_COLUMNS, Memory, as_records, locate
+from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS, locate
 from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
 from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action

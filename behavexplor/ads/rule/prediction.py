@@ -152,7 +152,7 @@ class LaneGraph(NamedTuple):
     lanes: Floats  # lanes of the map, shape (lanes + 1, 7), see `behavexplor.ads.road.lane_arrays`
     tails: Ints  # distinct sequences of lanes that routes end with, shape (tails + 1, depth), -1 after the last lane
     around: Floats  # least x and y and greatest x and y of each lane's center line [m], shape (lanes + 1, 4)
-    beside: Floats  # where each meter of each lane is on the ego's route, see `behavexplor.ads.rule.prediction`
+    beside: Floats  # where each meter of each lane is on the ego's route, by `beside_route`
 
 
 def lane_graph(roadmap: RoadMap, path: Path) -> LaneGraph:

@@ -182,7 +182,7 @@ def empty_nodes() -> Nodes:
 def search(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """Find the cheapest way to each (station, speed) stage by stage, and return the cheapest of the last stage.
 
-    The arguments are those of `behavexplor.ads.rule.option.plan_speed`.
+    Station [m] and speed [m/s] are the ego's, and the acceleration is the last that was commanded [m/s2].
     """
     p, expected = situation.p, situation.expected
     if p.overspeed_cost < MOST_HURRY * p.delay_cost:  # then driving above the limit lowers the cost
@@ -283,7 +283,8 @@ def _keep_cheapest(now: Floats, following: Floats, n: int, is_first: bool, nodes
 
     Return the number of nodes, and whether motions from several nodes had equal costs, so that their order decided.
     """
-    motions, bins, cheapest, found, tied = nodes.motions, nodes.bins, nodes.cheapest, 0, False
+    motions, bins, cheapest = nodes.motions, nodes.bins, nodes.cheapest
+    found, tied = 0, False
     cheapest[:] = -1
     for j in range(n):
         best = cheapest[bins[j]]

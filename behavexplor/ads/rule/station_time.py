@@ -1,4 +1,4 @@
-"""Station-time graph: the stretches of the ego's path that other vehicles occupy, over time."""
+"""Station-time graph: how the planner expects others to move, and the stretches of the path that they then occupy."""
 
 import math
 from typing import Final, NamedTuple
@@ -192,15 +192,15 @@ def empty_station_time(n_npcs: int) -> StationTime:
 
 
 class Projection(NamedTuple):
-    """Input of the projection of an obstacle, apart from the obstacle; see `project_obstacles`."""
+    """Input of the projection of an obstacle, apart from the obstacle."""
 
-    path: Path
-    profile: LateralProfile
-    graph: LaneGraph
-    scene: Floats
-    station: float
-    p: Numbers
-    room: StationTime
+    path: Path  # path of the ego
+    profile: LateralProfile  # planned offset from that path
+    graph: LaneGraph  # lanes of the map
+    scene: Floats  # scene, shape (1 + n, 8), see `behavexplor.data.scene`
+    station: float  # station of the ego [m]
+    p: Numbers  # parameters of the planner
+    room: StationTime  # the station-time graph, which is filled
 
 
 @kernel_inner
@@ -308,7 +308,8 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
     They are -1 if the box is never on the path.
     """
     graph, room = view.graph, view.room
-    tail, start, steps = graph.tails[room.tails[way]], room.stations[way], _steps(motion, view.p)
+    tail, start = graph.tails[room.tails[way]], room.stations[way]
+    steps = _steps(motion, view.p)
     first, last, step = -1, -1, 0
     for depth in range(len(tail)):
         if tail[depth] < 0:
@@ -334,7 +335,8 @@ def _occupy_lane(
     straight = lanes[lane, CURVATURE] == 0.0
     length = motion.length if straight else motion.turning_length
     width = motion.width if straight else motion.turning_width
-    strip, end = view.scene[EGO, WIDTH] / 2 + view.p.side_gap, math.inf if is_last else lanes[lane, LANE_LENGTH]
+    strip = view.scene[EGO, WIDTH] / 2 + view.p.side_gap
+    end = math.inf if is_last else lanes[lane, LANE_LENGTH]
     first, last = -1, -1
     while step < steps and start + step * STEP <= end:
         station, low, high = start + step * STEP, math.inf, -math.inf

@@ -1,4 +1,4 @@
-"""Evaluation of a network for any number of observations, so that no answer depends on the size of the batch.
+"""Answers of a network, or actions drawn from them, that do not depend on the number of observations in a batch.
 
 On a CPU, the last bits of a function of many numbers depend on their count, and on the position of a number among them.
 So a network always receives blocks of the same number of rows, padded with zeros, and its linear layers multiply each

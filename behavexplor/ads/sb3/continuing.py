@@ -21,11 +21,11 @@ from behavexplor.errors import InputError
 
 # The file does not name the algorithm. The module of its policy tells DQN and QR-DQN. PPO, A2C and TRPO have the same
 # policies, and are told apart by the first of these numbers that the file has.
-_OF_MODULES: Final[Mapping[str, type[BaseAlgorithm]]] = {
+_BY_POLICY_MODULE: Final[Mapping[str, type[BaseAlgorithm]]] = {
     "stable_baselines3.dqn.policies": stable_baselines3.DQN,
     "sb3_contrib.qrdqn.policies": sb3_contrib.QRDQN,
 }
-_OF_NUMBERS: Final[Mapping[str, type[BaseAlgorithm]]] = {
+_BY_HYPERPARAMETER: Final[Mapping[str, type[BaseAlgorithm]]] = {
     "cg_max_steps": sb3_contrib.TRPO,
     "n_epochs": stable_baselines3.PPO,
     "gae_lambda": stable_baselines3.A2C,
@@ -90,11 +90,12 @@ def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
 
 
 def _online_only(state: dict[str, Any], optimizer: torch.optim.Optimizer) -> dict[str, Any]:
-    """Return the state of an optimizer without the target network's parameters.
+    """Return a stored state of an optimizer for the parameters of the online network only, as `optimizer` has them.
 
-    Stable-Baselines3 before 2.4.0 gave the optimizer of DQN those, too, after those of the online network.
+    Stable-Baselines3 before 2.4.0 gave the optimizer of DQN those of the target network, too, after them.
     """
-    (group,), expected = state["param_groups"], len(optimizer.param_groups[0]["params"])
+    (group,) = state["param_groups"]
+    expected = len(optimizer.param_groups[0]["params"])
     if len(group["params"]) != 2 * expected:
         return state
     kept = group["params"][:expected]
@@ -105,10 +106,10 @@ def _online_only(state: dict[str, Any], optimizer: torch.optim.Optimizer) -> dic
 def _algorithm_of(archive: Archive, policy_class: type[Any]) -> type[BaseAlgorithm]:
     """Return the algorithm that trained a model."""
     module = policy_class.__module__
-    if module in _OF_MODULES:
-        return _OF_MODULES[module]
+    if module in _BY_POLICY_MODULE:
+        return _BY_POLICY_MODULE[module]
     if issubclass(policy_class, ActorCriticPolicy) and module.startswith("stable_baselines3."):
-        for name, algorithm in _OF_NUMBERS.items():
+        for name, algorithm in _BY_HYPERPARAMETER.items():
             if name in archive.numbers:
                 return algorithm
     raise InputError(
@@ -155,7 +156,8 @@ def _settings(archive: Archive) -> dict[str, Any]:
 def _train_frequency(frequency: Inert) -> int | tuple[int, str]:
     """Return how often a model is trained, as Stable-Baselines3 takes it."""
     count, *units = frequency.arguments
-    unit = units[0].arguments[0] if units and isinstance(units[0], Inert) and units[0].arguments else "step"
+    is_named = bool(units) and isinstance(units[0], Inert) and bool(units[0].arguments)
+    unit = units[0].arguments[0] if is_named else "step"
     return (int(count), str(unit)) if unit == "episode" else int(count)
 
 

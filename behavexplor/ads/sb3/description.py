@@ -1,4 +1,4 @@
-"""Files beside a model: the policy's observation and action configuration, and the preparation of its observations."""
+"""The file of a model, and what the files beside it say: environment, configuration, preparation of observations."""
 
 import re
 from collections.abc import Mapping

@@ -110,7 +110,7 @@ class PickleReader:
 
 
 def read_pickle(data: bytes) -> tuple[Any, frozenset[str]]:
-    """Read a single pickle; see `PickleReader.read`."""
+    """Read a single pickle: its value and the global names in it, as `PickleReader.read` does."""
     return PickleReader().read(data)
 
 

@@ -211,7 +211,7 @@ class SB3Policy:
 def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
     """Read a policy from a model's zip file, or from a run folder of rl-zoo3.
 
-    No code from the files is executed, unless they are trusted.
+    No code from the files is executed, but from those whose digests ("sha256:...") are in `trust`.
 
     Raises:
         InputError: if the policy cannot be read, or only by executing code from a file that is not trusted.
@@ -225,7 +225,7 @@ def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
 
 
 def load_network(archive: Archive, trust: Collection[str] = ()) -> BasePolicy:
-    """Build the network of a model's file; see `load_policy`.
+    """Build the network of a model's file, by executing code from it only if its digest is in `trust`.
 
     Raises:
         InputError: if it can be built only by executing code from a file that is not trusted.

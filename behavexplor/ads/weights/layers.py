@@ -189,12 +189,14 @@ def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, Array]) 
     if advantage:
         if value[-1].outputs != 1:
             return None
-        trunk, head, output = [*plain, *action], advantage, "values"
+        trunk, head = [*plain, *action], advantage
+        output = "values"
     else:
         has_critic = bool(value) and value[-1].outputs == 1
         heads = action or (value if not has_critic else [])
         trunk, head = (plain, heads) if heads else ([], plain)
-        output, value = ("logits" if has_critic and action else None), []
+        output = "logits" if has_critic and action else None
+        value = []
     shared = [*trunk, *head[:-1]]
     log_std = next((array for name, array in stored.items() if name.startswith(prefix)), None)
     if deviation or log_std is not None:

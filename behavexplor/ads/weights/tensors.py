@@ -93,7 +93,7 @@ def read_tensors(path: Path) -> TensorFile:
 
 
 def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
-    """Return the tensors in what torch has written; see `read_tensors`.
+    """Return the tensors in what torch has written. The path is for error messages, and the digest is that of the data.
 
     Raises:
         InputError: if it has none, or would unpack to more bytes than it has.
@@ -188,7 +188,8 @@ class _Storages:
         _, kind, key, *_ = storage
         if not (isinstance(kind, Name) and isinstance(key, str)):
             raise ValueError("a tensor in it has no numbers")  # noqa: TRY004 - it comes from a file
-        of, typed = kind.name.rpartition(".")[2].removesuffix("Storage"), made.arguments[6:7]
+        of = kind.name.rpartition(".")[2].removesuffix("Storage")
+        typed = made.arguments[6:7]
         if of not in _DTYPES or (_WEIGHTS.search(name) and np.dtype(_DTYPES[of]).kind != "f" and of != "BFloat16"):
             raise _unread(path, name, f"of the type {typed[0].name if of == _UNTYPED else of}")
         if key not in self._read:

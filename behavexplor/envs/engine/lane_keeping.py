@@ -29,7 +29,8 @@ KP_LATERAL: Final = float(ControlledVehicle.KP_LATERAL)  # [1/s]
 PURSUIT_TIME: Final = float(ControlledVehicle.TAU_PURSUIT)  # [s]
 MAX_STEERING: Final = float(ControlledVehicle.MAX_STEERING_ANGLE)  # [rad]
 SLOWEST: Final = 1e-2  # least speed in a denominator [m/s]
-_ANY_NUMBER: Any = np.int64(SAME_NUMBER)  # numba would compile a function once more for a constant of Python's own type
+# numba would compile a function once more for a constant of Python's own type
+_SAME_NUMBER: Any = np.int64(SAME_NUMBER)
 
 
 @kernel_inner
@@ -48,7 +49,10 @@ def not_zero(value: float) -> float:
 
 @kernel_inner
 def take_maneuver(network: Network, speeds: Floats, vehicle: Vehicle, route: Records, maneuver: int) -> None:
-    """Change the target speed and the target lane as a meta-action says: `MDPVehicle.act`."""
+    """Change the target speed and the target lane as a meta-action, an index of `MANEUVERS`, says: `MDPVehicle.act`.
+
+    `speeds` are the target speeds to choose from [m/s].
+    """
     if maneuver in (FASTER, SLOWER):
         index = nearest_speed(speeds, vehicle.speed) + (1 if maneuver == FASTER else -1)
         vehicle.speed_index = min(max(index, 0), len(speeds) - 1)
@@ -92,12 +96,12 @@ def keep_lane_and_speed(
 def follow_road(network: Network, vehicle: Vehicle, route: Records, station: float) -> None:
     """Give a vehicle near the end of its target lane the next one: `ControlledVehicle.follow_road`."""
     if is_after_end(network.lanes[vehicle.target_lane], station):
-        vehicle.target_lane = _next_lane(network, vehicle, route, station)
+        vehicle.target_lane = _advance_on_route(network, vehicle, route, station)
 
 
 @kernel_inner
-def _next_lane(network: Network, vehicle: Vehicle, route: Records, station: float) -> int:
-    """Return the lane after the target lane: along the route if it continues there, else the closest one."""
+def _advance_on_route(network: Network, vehicle: Vehicle, route: Records, station: float) -> int:
+    """Advance on the route, and return the next lane: the route's if it continues there, else the closest one."""
     lane = network.lanes[vehicle.target_lane]
     road = network.roads[lane.road]
     x, y = lane_point(lane, station)
@@ -112,7 +116,7 @@ def _next_lane(network: Network, vehicle: Vehicle, route: Records, station: floa
     best: int = vehicle.target_lane
     nearest = math.inf
     for k in range(road.first_exit, road.first_exit + road.n_exits):
-        following = _lane_on(network, vehicle.target_lane, network.exits[k], _ANY_NUMBER, x, y)
+        following = _lane_on(network, vehicle.target_lane, network.exits[k], _SAME_NUMBER, x, y)
         distance = lane_distance(network.lanes[following], x, y)
         if distance < nearest:
             best, nearest = following, distance
@@ -142,7 +146,10 @@ def throttle(target_speed: float, speed: float) -> float:
 
 @kernel_inner
 def steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, length: float) -> float:
-    """Compute the steering angle toward a lane [rad]: `ControlledVehicle.steering_control`."""
+    """Compute the steering angle toward a lane [rad]: `ControlledVehicle.steering_control`.
+
+    Station and offset are those on the lane, length is the vehicle's [m].
+    """
     divisor = not_zero(vehicle.speed)
     future_heading = lane_heading(lane, station + vehicle.speed * PURSUIT_TIME)
     command = math.asin(clip(-KP_LATERAL * offset / divisor, -1.0, 1.0))
@@ -158,7 +165,7 @@ def steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, length
 def linear_steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, traits: Traits) -> float:
     """Compute the steering angle toward a lane [rad]: `LinearVehicle.steering_control`, within its limits.
 
-    The arguments are those of `steering`.
+    Station and offset are those on the lane [m].
     """
     divisor = not_zero(vehicle.speed)
     future_heading = lane_heading(lane, station + vehicle.speed * PURSUIT_TIME)

@@ -18,11 +18,11 @@ from behavexplor.ads.rule.decision import (
     waiting_station,
 )
 from behavexplor.ads.rule.lane_choice import ABORT, CHANGE, KEEP, EgoState
+from behavexplor.ads.rule.memory import as_records
 from behavexplor.ads.rule.parameters import numbers
 from behavexplor.ads.rule.planner import SHARP_WAY, STUCK, _remember
 from behavexplor.ads.rule.speed_search import SpeedPlan
 from behavexplor.ads.rule.station_time import N_INTERVALS
-from behavexplor.ads.rule.traffic import as_records
 from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from behavexplor.ads.rule import Parameters, RulePlanner
-from behavexplor.ads.rule.traffic import MEMORY
+from behavexplor.ads.rule.memory import MEMORY
 from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.roadmap import RoadMap
 
