@@ -200,7 +200,8 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chos
     """
     beside = None if all(chosen.tolist()) else ~chosen
     if beside is not None:
-        numbers[SPEED:, beside] = flags[CRASHED:, beside] = 0
+        np.copyto(numbers[SPEED:], 0.0, where=beside)
+        np.copyto(flags[CRASHED:], False, where=beside)
         actions = actions.copy()
         actions[beside] = 0
     rewards: dict[str, Any] = {}
