@@ -2,8 +2,10 @@
 
 import json
 
+import gymnasium
 import numpy as np
 import pytest
+from highway_env.envs import RoundaboutEnv
 
 from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV, evaluation
 from behavexplor.data.target import Target
@@ -58,6 +60,21 @@ def test_what_is_counted_is_what_traces_tell(env, ads, drawn):
 @pytest.mark.parametrize(("env", "ads", "drawn"), ALL)
 def test_what_is_counted_is_what_traces_tell_in_every_environment(env, ads, drawn):
     check_equality(env, ads, drawn, 2000)
+
+
+class OwnStarts(RoundaboutEnv):
+    """A roundabout that places its own vehicles, so that highway-env itself begins the episodes."""
+
+    def _make_vehicles(self):
+        super()._make_vehicles()
+        self.road.vehicles[-1].target_speed = 10.0
+
+
+gymnasium.register("own-starts-v0", entry_point=OwnStarts)
+
+
+def test_what_is_counted_is_what_traces_tell_where_highway_env_begins_the_episodes():
+    check_equality("own-starts-v0", "careful", False, 24)
 
 
 def test_workers_change_nothing():

@@ -52,11 +52,6 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
 
     The episodes of the given environment are used up.
 
-    Attributes:
-        short_traces: whether only failures matter, False at first. `infos["trace"]` then has a trace of a single frame
-            for an episode without failure, and None for any other. Scenarios must be drawn from `logical`, since they
-            are not checked. That is many times as fast.
-
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.
     """
@@ -99,7 +94,11 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
 
     @property
     def short_traces(self) -> bool:
-        """Whether only failures matter; see `DrawnVectorEnv`."""
+        """Whether episodes are counted and not recorded, False at first. That is many times as fast.
+
+        `infos["trace"]` then has a trace of a single frame for an episode without failure, and None for any other.
+        Scenarios must be drawn from `logical`, since they are not checked.
+        """
         return self._has_short_traces
 
     @short_traces.setter
@@ -123,7 +122,8 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
         scenarios: dict[int, DrawnScenario] = {b: options["scenarios"][b] for b in chosen}
         if self._order is None:
             begun = [self._begin_by_highway_env(b, scenario) for b, scenario in scenarios.items()][-1]
-            self._watch.begin(chosen, self._engine)
+            if self.short_traces:
+                self._watch.begin(chosen, self._engine)
             return begun
         for scenario in scenarios.values() if not self.short_traces else ():
             self.logical.check(scenario)
@@ -189,6 +189,8 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
 
 class FailureWatch:
     """Finds out which episodes in lock-step fail, without recording them; `episode_record` says what a failure is.
+
+    The engine's log must have the egos alone.
 
     Args:
         env: the environment.
