@@ -57,7 +57,9 @@ class CarefulDriver:
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Ints, Any]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`. Observations have the shape (B, 15, 7)."""
-        presence, x, y, vx, vy, cos, sin = np.asarray(np.moveaxis(observation, -1, 0), dtype=np.float64, order="C")
+        last = np.flatnonzero(observation[..., 0].any(axis=0)).max(initial=1)  # row of a vehicle that any ego sees
+        seen = np.moveaxis(observation[:, : last + 1], -1, 0)
+        presence, x, y, vx, vy, cos, sin = np.asarray(seen, dtype=np.float64, order="C")
         present = presence[:, 1:] > 0
         apart = _turned(x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1], cos[:, :1], sin[:, :1])
         speed = np.hypot(vx[:, 0], vy[:, 0])

@@ -1,6 +1,7 @@
 """The ego's route in an environment of highway-env: the lanes that were planned, or those along which it drove."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -62,10 +63,13 @@ def _connected(roads: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     return way
 
 
+@lru_cache(maxsize=256)
 def _center(lane: AbstractLane, start: float, end: float) -> Floats:
-    """Return points of a lane's center line between two stations [m], shape (n, 2)."""
+    """Return points of a lane's center line between two stations [m], shape (n, 2). Most routes have whole lanes."""
     count = 2 if type(lane) is StraightLane else max(int(abs(end - start) / _STEP) + 2, 2)
-    return np.array([lane.position(station, 0.0) for station in np.linspace(start, end, count)])
+    points = np.array([lane.position(station, 0.0) for station in np.linspace(start, end, count)])
+    points.setflags(write=False)
+    return points
 
 
 def road_plan(network: RoadNetwork) -> RoadPlan:

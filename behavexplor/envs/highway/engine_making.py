@@ -34,7 +34,7 @@ from behavexplor.envs.values import shown
 from behavexplor.errors import InputError
 
 _ROOM = 16  # more vehicles than in the first episode, for environments that place their own
-_NONE: Final = np.zeros(0)
+_NONE, _NOT_NUMBERS = np.zeros(0), np.full(1, np.nan)  # draws
 _OF_STARTS: Final = frozenset(  # keys of the config that matter to starts only
     {
         "vehicles_count",
@@ -141,7 +141,12 @@ def chosen_draws(draws: object, mask: Bools) -> dict[int, Floats]:
     Raises:
         InputError: if a slot is not reset, or the draws are not finite numbers.
     """
-    return {b: _checked_draws(forms) for b, forms in _by_slot("draws", draws, mask).items()}
+    given = _by_slot("draws", draws, mask)
+    forms = {b: _floats(one) for b, one in given.items()}
+    if forms and not np.isfinite(np.concatenate([*forms.values()])).all():
+        wrong = next(given[b] for b, one in forms.items() if not np.isfinite(one).all())
+        raise InputError(f"draws: expected finite numbers of shape (n,), got {shown(wrong)}")
+    return forms
 
 
 def with_draws(engine: Engine, mask: Bools, draws: Mapping[int, Floats]) -> Engine:
@@ -170,11 +175,10 @@ def _by_slot(name: str, given: object, mask: Bools) -> dict[int, Any]:
     return {int(b): value for b, value in found.items()}
 
 
-def _checked_draws(draws: object) -> Floats:
+def _floats(draws: object) -> Floats:
+    """Return an array of shape (n,), with a NaN if this is none."""
     try:
-        forms = np.array(draws, dtype=np.float64)
+        forms = np.asarray(draws, dtype=np.float64)
     except (TypeError, ValueError):
-        forms = np.full(1, np.nan)
-    if forms.ndim != 1 or not np.isfinite(forms).all():
-        raise InputError(f"draws: expected finite numbers of shape (n,), got {shown(draws)}")
-    return forms
+        forms = _NOT_NUMBERS
+    return forms if forms.ndim == 1 else _NOT_NUMBERS

@@ -233,7 +233,7 @@ class EpisodeRecord:
         column = np.zeros(numbers.max() + 1, dtype=np.intp)
         column[numbers] = np.arange(len(numbers))
         frame = np.repeat(np.arange(len(things)), [len(seen) for seen in things])
-        every = np.concatenate(things, dtype=THING)
+        every = np.frombuffer(b"".join(seen.tobytes() for seen in things), THING)  # many times as fast as `concatenate`
         at = (frame, column[every["number"]])
         motion = np.zeros((4, len(things), len(numbers)))
         motion[:2] = ABSENT
@@ -244,32 +244,34 @@ class EpisodeRecord:
         present[at], crashed[at] = True, every["crashed"]
         position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
         size = np.array([self.sizes[number] for number in numbers.tolist()])
-        count = int(crashed[:, 0].argmax()) + 1 if crashed[:, 0].any() else len(things)
+        has_crashed = bool(crashed[:, 0].any())
+        count = int(crashed[:, 0].argmax()) + 1 if has_crashed else len(things)
         indexes = lane_indexes(network)
         driven = [indexes[lane] for lane in lanes[0, :, 0].tolist()]
         route = ego_route(network, self._route, driven, position[:, 0])
         partner = _partner(position, heading, size, crashed)
-        trace = Trace(
-            time=np.arange(len(things), dtype=np.float64) * self._period,
-            position=position,
-            heading=heading,
-            velocity=speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1),
+        signals = {
+            **self._signals(crashed[:, 0], driven, count),
+            **_lane_signals(network, lanes, heading, partner),
+            **({WRECKS: crashed.astype(np.float64)} if crashed[:, 1:].any() else {}),
+        }
+        decisions = sum(frame < count for frame in self._action_frames)
+        return Trace(
+            time=np.arange(count, dtype=np.float64) * self._period,
+            position=position[:count],
+            heading=heading[:count],
+            velocity=(speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1))[:count],
             size=size,
-            actions=np.array(self._actions) if self._actions else np.zeros((0, 1)),
-            action_frame=np.array(self._action_frames, dtype=np.int64),
+            actions=np.array(self._actions[:decisions]) if self._actions else np.zeros((0, 1)),
+            action_frame=np.array(self._action_frames[:decisions], dtype=np.int64),
             route=route,
             destination=route[-1],
             illegal_lines=np.zeros((0, 2, 2)),
-            end=self._end(terminated=terminated),
-            signals={
-                **self._signals(crashed[:, 0], driven, count),
-                **_lane_signals(network, lanes, heading, partner),
-                **({WRECKS: crashed.astype(np.float64)} if crashed[:, 1:].any() else {}),
-            },
-            present=present,
+            end="collision" if has_crashed else self._end(terminated=terminated),
+            signals={name: values[:count] for name, values in signals.items()},
+            present=present[:count],
             partner=partner,
         )
-        return trace.until(count, "collision") if crashed[:, 0].any() else trace
 
     def _signals(self, crashed: Bools, driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
         """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it."""
