@@ -143,7 +143,7 @@ class Judge(Evaluator):
         short, whole = self._driven
         found: dict[int, Outcomes] = {}
         for number, trace in run_episodes(short, scenarios):
-            if trace is not None and (one := _outcomes_of_short(trace)).passed:
+            if trace is not None and (one := _outcomes_of_short(trace)) is not None:
                 found[number] = one
         failing = sorted({*range(n)} - found.keys())
         for k, trace in run_episodes(whole, [scenarios[number] for number in failing]):
@@ -313,4 +313,8 @@ def _generator(state: Any) -> np.random.Generator:
     return generator
 
 
-_outcomes_of_short = lru_cache(maxsize=1)(outcomes_of)  # of the trace that stands for all episodes without failure
+@lru_cache(maxsize=1)
+def _outcomes_of_short(trace: Trace) -> Outcomes | None:
+    """Return the outcomes of a trace that stands for many episodes; None if it shows a failure."""
+    one = outcomes_of(trace)
+    return one if one.passed else None

@@ -4,7 +4,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from behavexplor.envs.engine.lane_geometry import is_on_road
+from behavexplor.envs.engine.lane_geometry import is_on_lane
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.state import NO_LANE, Records, Scene, record_type
 from behavexplor.jit import kernel_inner
@@ -48,13 +48,14 @@ def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
 
 @kernel_inner
 def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> None:
-    """Log the present state."""
+    """Log the present state, in which the vehicles' places on their lanes have been noted."""
     episode = scene.episode
     first, count = 0, episode.n_vehicles + episode.n_obstacles
     if len(things) == 1:
         first, count = episode.ego, 1
     frame.n_things, frame.ego = count, episode.ego - first
-    frame.is_on_road = is_on_road(network, scene.vehicles[episode.ego])
+    station, offset = scene.scratch.stations[episode.ego], scene.scratch.offsets[episode.ego]
+    frame.is_on_road = is_on_lane(network.lanes[scene.vehicles[episode.ego].lane], station, offset, 0.0)
     for k in range(count):
         i = first + k
         thing, vehicle = things[k], scene.vehicles[i]
