@@ -6,7 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, Final, Self
 
 import numpy as np
@@ -36,10 +36,9 @@ from behavexplor.judge.specs import ERROR, SPECS
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
 _BETWEEN_LOOKS: Final = 1.005  # ratio of the numbers of scenarios at two looks at a rate
 AHEAD: Final = 1024  # scenarios under way that are judged by their traces, enough for many processes in lock-step
-BLOCK, SMALL_BLOCK = 256, 32  # scenarios that are counted together, or judged by their traces
+BLOCK, SMALL_BLOCK = 256, 32  # scenarios that are counted together, in lock-step, or judged by their traces
 LARGE_BLOCK, MANY = 1024, 16_384  # scenarios that are counted together if there are many, which takes less time
 BLOCKS_AHEAD: Final = 64
-_SLOTS: Final = 256  # episodes in lock-step while failures are counted
 Observe = Callable[[int], None]
 _COUNTS, _COUNT = "counts", "count"  # functions of the service
 
@@ -106,41 +105,44 @@ class Judge(Evaluator):
         """Load the ADS and create its environment; see `Evaluator.begin`."""
         super().begin()
         self.functions = {**self.functions, _COUNTS: self.counts, _COUNT: self.count}
+        self._driven: dict[int, tuple[LockStep, LockStep] | None] = {}  # by the number of slots; see `_episodes`
 
     def answer(self, trace: Trace) -> bytes:
         """Return the `Outcomes` as a JSON list."""
         return json.dumps(outcomes_of(trace)).encode()
 
-    @cached_property
-    def _driven(self) -> tuple[LockStep, LockStep] | None:
+    def _episodes(self, slots: int) -> tuple[LockStep, LockStep] | None:
         """Episodes with short traces and with whole ones; None if this driver or environment cannot count."""
         if not getattr(self.simulation.ads, "vectorized", False):
             return None
-        short, whole = self.simulation.lock_step(_SLOTS, short=True), self.simulation.lock_step(self._lock_step)
-        return (short, whole) if short is not None and whole is not None else None
+        if slots not in self._driven:
+            short, whole = self.simulation.lock_step(slots, short=True), self.simulation.lock_step(self._lock_step)
+            self._driven[slots] = (short, whole) if short is not None and whole is not None else None
+        return self._driven[slots]
 
-    def counts(self, _: bytes) -> bytes:
-        """Return whether `count` can be called: one byte if so, none otherwise."""
-        return b"1" if self._driven else b""
+    def counts(self, slots: bytes) -> bytes:
+        """Return whether `count` can be called for blocks of so many scenarios: one byte if so, none otherwise."""
+        return b"1" if self._episodes(int(slots)) else b""
 
     def count(self, block: bytes) -> bytes:
         """Return the outcomes of a block of scenarios, see `packed`.
 
-        The block is the state of the generator that draws them, and their number, as JSON.
+        The block is, as JSON, the state of the generator that draws them, their number, and the number of slots.
 
         Raises:
             ADSError: if the ADS fails in one of them. It is unknown in which one.
             RuntimeError: if a failure did not recur.
         """
-        state, n = json.loads(block)
+        state, n, slots = json.loads(block)
         generator, logical = _generator(state), self.simulation.logical
         scenarios = [logical.sample(generator) for _ in range(n)]
-        if self._driven is None:
+        driven = self._episodes(slots)
+        if driven is None:
             raise RuntimeError("this driver or environment cannot count")
-        for episodes in self._driven:
+        for episodes in driven:
             if episodes.is_running:  # the driver has failed in an earlier block
                 episodes.give_up()
-        short, whole = self._driven
+        short, whole = driven
         found: dict[int, Outcomes] = {}
         for number, trace in run_episodes(short, scenarios):
             if trace is not None and (one := _outcomes_of_short(trace)) is not None:
@@ -244,11 +246,10 @@ def uniform_blocks(
     Raises:
         RuntimeError: if a scenario could not be executed, or failed only once.
     """
-    is_counted = bool(judge.submit(_COUNTS, b"").result())
-    size, ahead = SMALL_BLOCK, AHEAD // SMALL_BLOCK
-    if is_counted:
-        size = LARGE_BLOCK if numbers.stop >= MANY else BLOCK
-        ahead = 0 if judge.runs_here else BLOCKS_AHEAD
+    size, ahead = LARGE_BLOCK if numbers.stop >= MANY else BLOCK, 0 if judge.runs_here else BLOCKS_AHEAD
+    is_counted = bool(judge.submit(_COUNTS, str(size).encode()).result())
+    if not is_counted:
+        size, ahead = SMALL_BLOCK, AHEAD // SMALL_BLOCK
     started: deque[tuple[range, Any, list[Future[bytes]], Any]] = deque()
 
     def finished() -> OutcomeBlock:
@@ -266,7 +267,7 @@ def uniform_blocks(
     for first in range(0, len(numbers), size):
         own, before = numbers[first : first + size], generator.bit_generator.state
         if is_counted:
-            waiting = [judge.submit(_COUNT, json.dumps([before, len(own)]).encode())]
+            waiting = [judge.submit(_COUNT, json.dumps([before, len(own), size]).encode())]
             for _ in own:
                 logical.pass_over(generator)
         else:
