@@ -40,7 +40,7 @@ ALL = (
 def counted(env, ads, drawn, n, workers=0):
     """The outcomes of scenarios as they are counted."""
     with start_judge(Target(env, ads, unconfined=True, stochastic=drawn), workers) as judge:
-        assert judge.submit("counts", b"").result()
+        assert judge.submit("counts", b"256").result()
         return list(uniform_outcomes(judge, Simulation(env, ads).logical, n, 5))
 
 
@@ -93,7 +93,7 @@ class Forgetful(Cruiser):
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         actions, state = super().predict(observation, state)
-        if len(observation) == evaluation._SLOTS:
+        if len(observation) == evaluation.BLOCK:
             actions[:, 0] = -1.0
         return actions, state
 
