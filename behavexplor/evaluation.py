@@ -6,8 +6,8 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any, Final, Self
+from functools import lru_cache, partial
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
@@ -250,33 +250,53 @@ def uniform_blocks(
     is_counted = bool(judge.submit(_COUNTS, str(size).encode()).result())
     if not is_counted:
         size, ahead = SMALL_BLOCK, AHEAD // SMALL_BLOCK
-    started: deque[tuple[range, Any, list[Future[bytes]], Any]] = deque()
-
-    def finished() -> OutcomeBlock:
-        own, before, waiting, after = started.popleft()
-        found = _counted(waiting[0], own) if is_counted else None
-        if found is None:
-            found = []
-            waiting = _each(judge, logical, _generator(before), len(own)) if is_counted else waiting
-            for number, future in zip(own, waiting, strict=True):
-                found.append(_judged(future))
-                observe(number + 1)
-        observe(own.stop)
-        return OutcomeBlock(found, after)
-
+    begin = _begin_to_count if is_counted else _begin_to_judge
+    begun: deque[_Block] = deque()
     for first in range(0, len(numbers), size):
-        own, before = numbers[first : first + size], generator.bit_generator.state
-        if is_counted:
-            waiting = [judge.submit(_COUNT, json.dumps([before, len(own), size]).encode())]
-            for _ in own:
-                logical.pass_over(generator)
-        else:
-            waiting = _each(judge, logical, generator, len(own))
-        started.append((own, before, waiting, generator.bit_generator.state))
-        if len(started) > ahead:
-            yield finished()
-    while started:
-        yield finished()
+        begun.append(begin(judge, logical, generator, numbers[first : first + size], size))
+        if len(begun) > ahead:
+            yield _finished(begun.popleft(), observe)
+    while begun:
+        yield _finished(begun.popleft(), observe)
+
+
+class _Block(NamedTuple):
+    """A block of scenarios that are being driven."""
+
+    numbers: range
+    counted: "Future[bytes] | None"  # the outcomes of all of them; None if each is judged by its trace
+    judged: "Callable[[], list[Future[bytes]]]"  # lets each be judged by its trace, unless that has begun
+    state: Any  # of the generator behind them
+
+
+def _begin_to_count(
+    judge: Executor, logical: LogicalScenario, generator: np.random.Generator, numbers: range, slots: int
+) -> _Block:
+    state = generator.bit_generator.state
+    counted = judge.submit(_COUNT, json.dumps([state, len(numbers), slots]).encode())
+    for _ in numbers:
+        logical.pass_over(generator)
+    judged = partial(_each, judge, logical, _generator(state), len(numbers))
+    return _Block(numbers, counted, judged, generator.bit_generator.state)
+
+
+def _begin_to_judge(
+    judge: Executor, logical: LogicalScenario, generator: np.random.Generator, numbers: range, _: int
+) -> _Block:
+    answers = _each(judge, logical, generator, len(numbers))
+    return _Block(numbers, None, lambda: answers, generator.bit_generator.state)
+
+
+def _finished(block: _Block, observe: Observe) -> OutcomeBlock:
+    """Wait for the outcomes of a block. If counting fails, each scenario is judged by its trace."""
+    outcomes = _counted(block.counted, block.numbers) if block.counted else None
+    if outcomes is None:
+        outcomes = []
+        for number, answer in zip(block.numbers, block.judged(), strict=True):
+            outcomes.append(_judged(answer))
+            observe(number + 1)
+    observe(block.numbers.stop)
+    return OutcomeBlock(outcomes, block.state)
 
 
 def _each(judge: Executor, logical: LogicalScenario, generator: np.random.Generator, n: int) -> list["Future[bytes]"]:
