@@ -17,7 +17,8 @@ from behavexplor.data.trace import UNKNOWN
 from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Finding, Sighting, Triage, fault_words, tally
-from behavexplor.triage.run_triage import RunTriage, agreement
+from behavexplor.triage.run_triage import RunTriage
+from behavexplor.triage.signatures import agreement
 
 _NUMBER = re.compile(r" \d+$")  # of random actions
 _BELOW = " " * 9  # the number of a class
@@ -39,7 +40,7 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
         with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
             found = work.examine(meter.show)
     except RuntimeError as error:
-        say(f"{program()}: {sentence(f'A failure could not be examined: {error}')}", file=sys.stderr)
+        say(f"{program()}: {sentence(f'A failure could not be examined or confirmed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
     say("\n".join([report(found), *(hanging("", line) for line in not_confirmed(known(run)))]))
     preventable = next((finding for finding in found.findings if finding.avoidance), None)

@@ -3,7 +3,7 @@
 import pytest
 
 from behavexplor.errors import InputError
-from behavexplor.triage.run_triage import agreement
+from behavexplor.triage.signatures import agreement
 
 
 def test_equal_labels_agree_in_everything():

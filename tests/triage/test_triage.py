@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.confirmation import known
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, main
@@ -143,6 +144,28 @@ def test_what_is_known_is_not_found_out_again(run, tmp_path, capsys):
     assert main(["triage", str(copy), "--workers", "0", "--quiet", "--afresh"]) == OK
     assert (copy / TRIAGE).read_bytes() == (run / TRIAGE).read_bytes()
     assert f"{len(found.findings)} failures in 3 executions" in capsys.readouterr().out
+
+
+def test_no_finding_is_lost_with_a_confirmation_and_the_confirmation_is_made_up_for(tmp_path, monkeypatch, capsys):
+    def refuse(*_):
+        raise RuntimeError("no more")
+
+    folder = tmp_path / "run"
+    fuzz(folder, "constant:IDLE", 4, "--env", "merge-v0")
+    confirmed = known(folder)
+    assert confirmed
+    shutil.rmtree(folder / "confirmations")
+    arguments = ["triage", str(folder), "--workers", "0", "--quiet"]
+    with monkeypatch.context() as patch:
+        patch.setattr(Simulation, "run", refuse)
+        assert main(arguments) == EXECUTION_FAILED
+    assert "A failure could not be examined or confirmed: no more" in capsys.readouterr().err
+    findings = (folder / TRIAGE).read_bytes()
+    assert [finding.id for finding in Triage.read(folder).findings] == [one.record.id for one in failed(folder)]
+    assert known(folder) == {}
+    assert main(arguments) == OK
+    assert known(folder) == confirmed
+    assert (folder / TRIAGE).read_bytes() == findings
 
 
 def test_worker_processes_find_out_the_same(run, tmp_path):
