@@ -23,7 +23,7 @@ from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, Trust
 from behavexplor.commands.grids import text
-from behavexplor.commands.wording import clock, counted, hanging, say
+from behavexplor.commands.wording import clock, counted, say, wrapped
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import available_cores
@@ -122,7 +122,7 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
     seconds = forecast(experiment, runs, root, at_a_time)
     going = f"{counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time"
     whole = f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}"
-    return f"{hanging('', whole)}\n{hanging('', f'{finished} finished; {going}')}"
+    return f"{wrapped(whole)}\n{wrapped(f'{finished} finished; {going}')}"
 
 
 def _prepare(experiment: Experiment, root: Path) -> None:
@@ -203,8 +203,8 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     except OSError as error:
         raise InputError(f"The tables in {root} cannot be written: {error.strerror}") from None
     for table in first:
-        notes = (hanging("", note) for note in table.notes)
-        say("\n\n".join([hanging("", table.title), *map(text, _by_scenario(table)), *notes]) + "\n")
+        notes = (wrapped(note) for note in table.notes)
+        say("\n\n".join([wrapped(table.title), *map(text, _by_scenario(table)), *notes]) + "\n")
     say(f"All tables: {root / 'tables.txt'}")
 
 

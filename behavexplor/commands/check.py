@@ -32,14 +32,14 @@ def check(
     Args:
         folder: Folder of the suite.
         ads: Driving system under test, as for fuzz.
-        running: How the driver runs.
+        running: Flags; see `Running`.
         stochastic: Draw the actions of a stochastic policy, as in its training.
         activation: Function between the layers of a policy whose file holds weights alone, as for fuzz.
         json_file: Also write the results to this JSON file; - is standard output, here and below.
         junit: Also write the results to this file as JUnit XML, which CI systems show.
     """
     suite, output = Suite.read(folder), check_outputs(json_file, junit)
-    count = min(running.count, len(suite.cases))
+    count = min(running.n_workers, len(suite.cases))
     settings = {"unconfined": running.unconfined, "stochastic": stochastic, "activation": activation}
     waiting = patience(lambda note: None if running.quiet else say(note, file=sys.stderr))
     begun = time.monotonic()

@@ -21,7 +21,7 @@ from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
-from behavexplor.commands.wording import hanging, say
+from behavexplor.commands.wording import say, wrapped
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.fuzz.methods import GIVEN
@@ -105,7 +105,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     run = shlex.quote(str(folder / pair_campaigns.FIRST))
     say(f"Replay a scenario that only one of them fails:\n{program()} replay {run} ID", file=output)
     if verdict is not None:
-        say(hanging("", verdict.words), file=output)
+        say(wrapped(verdict.words), file=output)
         failure = "" if verdict.found == NON_INFERIOR else verdict.words
         tested, properties = [Tested(f"non-inferior by {margin:g}", failure)], {"A": first, "B": second}
         write_junit(junit, f"compare {config.env}", tested, properties, time.monotonic() - begun)
@@ -185,14 +185,14 @@ def table(pairs: Sequence[Pairs], env: str, first: str, second: str) -> str:
         changes.add_row(cells[0], cells[change])
     fault = next(row for row in pairs if row.outcome == AT_FAULT)
     lines = [
-        hanging("", f"{fault.n} scenarios of {env}, the same for both; A is {first}, B is {second}:"),
+        wrapped(f"{fault.n} scenarios of {env}, the same for both; A is {first}, B is {second}:"),
         plain_text(made),
-        hanging("", LEGEND),
+        wrapped(LEGEND),
         "",
         plain_text(changes),
     ]
     for name, numbers in (("Fixed", fault.only_first), ("Broken", fault.only_second)):
-        lines += [hanging("", f"{name} failures at fault: executions {_listed(numbers)}")] if numbers else []
+        lines += [wrapped(f"{name} failures at fault: executions {_listed(numbers)}")] if numbers else []
     return "\n".join(lines)
 
 

@@ -21,7 +21,7 @@ from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.run_summary import words_of_others_faults
 from behavexplor.campaign.store import Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
-from behavexplor.commands.wording import class_count, clock, hanging
+from behavexplor.commands.wording import class_count, clock, hanging, wrapped
 from behavexplor.errors import printable, sentence
 from behavexplor.judge.discovery import Discovery
 from behavexplor.judge.specs import ERROR
@@ -128,12 +128,12 @@ def _side_by_side(columns: Sequence[Sequence[tuple[str, str]]]) -> Table:
 def summary(progress: Progress, store: Store, program: str, method: str, budget: Budget) -> str:
     """Return the summary of a campaign: its findings, its run folder, and commands to continue with."""
     head = f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
-    lines = [hanging("", f"{head}{share(progress.novel, progress)} of them with new behavior")]
+    lines = [wrapped(f"{head}{share(progress.novel, progress)} of them with new behavior")]
     own = explained(method, own_rate(method, progress.executions, progress.failed, budget, UniformRate.stored(store)))
     if not progress.failed:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
         lines += [
-            hanging("", f"None failed. {own}"),
+            wrapped(f"None failed. {own}"),
             f"All results are in {store.folder}",
             "Search with a larger budget:",
             command,
@@ -141,12 +141,12 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
         return "\n".join(lines)
     classes = f"{class_count(len(progress.classes))}{words_of_others_faults(progress.failed - progress.at_fault)}"
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}) in {classes}"
-    lines += [hanging("", f"{failed}. {own}"), "Each failure is counted under its most severe type:"]
+    lines += [wrapped(f"{failed}. {own}"), "Each failure is counted under its most severe type:"]
     width = max(12, *map(len, progress.violations))
     lines += [_line_of(name, width, progress) for name, count in progress.violations.items() if count]
     kinds = Counter({one.id: one.count for one in progress.classes.values()})
     outlook = Discovery.of(kinds.elements(), progress.executions).outlook(method)
-    lines += [*_errors(progress, store), *_listed_classes(progress), hanging("", outlook)]
+    lines += [*_errors(progress, store), *_listed_classes(progress), wrapped(outlook)]
     lines += [f"All results are in {store.folder}", "with a file for each failure in its folder failures."]
     folder = shlex.quote(str(store.folder))
     first = min(one.first for one in progress.classes.values())
@@ -166,8 +166,8 @@ def _errors(progress: Progress, store: Store) -> list[str]:
         count = "every execution" if number == progress.executions else f"{number} executions"
         error = store.execution(first).record.error or {}
         text = f"The driver itself failed in {count}, first in {first}: {sentence(error.get('message', ''))}"
-        lines.append(hanging("", text))
-    return lines + [hanging("", line) for line in not_confirmed(known(store.folder))]
+        lines.append(wrapped(text))
+    return lines + [wrapped(line) for line in not_confirmed(known(store.folder))]
 
 
 def _line_of(spec: str, width: int, progress: Progress) -> str:

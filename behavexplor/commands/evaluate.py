@@ -26,7 +26,7 @@ from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
 from behavexplor.commands.rate_table import rates_table
-from behavexplor.commands.wording import counted, hanging, say
+from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import Target
@@ -133,13 +133,13 @@ def _say_rates(
     own = next(iter(found.values()))
     say(rates_table(config.env, found), file=output)
     if DRAWN in found:
-        say(hanging("", _gap(own, found[DRAWN])), file=output)
+        say(wrapped(_gap(own, found[DRAWN])), file=output)
     if own.counts.get(ERROR):
         kept = "the run of the failures has its messages" if folder else "--out FOLDER keeps them with its messages"
         scenarios = counted(own.counts[ERROR], "scenario")
-        say(hanging("", f"In {scenarios} the driver itself failed (error): {kept}."), file=output)
+        say(wrapped(f"In {scenarios} the driver itself failed (error): {kept}."), file=output)
     if own.decision is not None:
-        say(hanging("", f"{own.decision.words}, {CLAUSE.format(config.env)}"), file=output)
+        say(wrapped(f"{own.decision.words}, {CLAUSE.format(config.env)}"), file=output)
     if folder is not None:
         folder.write_card(found)
         say(f"Card: {folder.path / CARD}.md", file=output)

@@ -68,11 +68,11 @@ class Running:
     quiet: Switch = False
 
     @property
-    def count(self) -> int:
+    def n_workers(self) -> int:
         """Number of worker processes; see `chosen_workers`."""
         return chosen_workers(self.workers)
 
-    def accepted(self, run: Path) -> AcceptedConfig:
+    def accepted_config(self, run: Path) -> AcceptedConfig:
         """Return the configuration of a run, whose driver drives again and whose specs judge."""
         return accepted_run(run, Consent(self.trust, self.unconfined), JUDGED)
 

@@ -39,7 +39,7 @@ from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.flags import Switch, check_unchanged, chosen_workers, flag, patience, settings
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
-from behavexplor.commands.wording import class_count, counted, hanging, say
+from behavexplor.commands.wording import class_count, counted, say, wrapped
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ray_cluster import MAX_NODES, parse_cluster
@@ -267,7 +267,7 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, output
         return EXECUTION_FAILED
     passed, words = checks.outcome(found) if code == OK else (True, "")
     if words:
-        text = hanging("", sentence(words)) if passed else f"{program()}: {sentence(words)}"
+        text = wrapped(sentence(words)) if passed else f"{program()}: {sentence(words)}"
         say(text, file=output.text if passed else sys.stderr)
     return code if passed else CHECK_FAILED
 

@@ -13,7 +13,7 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.flags import GivenActivation, Switch
 from behavexplor.commands.outputs import write_json
 from behavexplor.commands.roads import check_libraries, road_of
-from behavexplor.commands.wording import hanging, say
+from behavexplor.commands.wording import say, wrapped
 from behavexplor.data.named_code import env_code
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.target import Target
@@ -89,7 +89,7 @@ def _check_road(file: Path, scene: SceneFile, plan: Any) -> None:
 
     path = file.parent / scene.road_file
     if not scene.road_file or not path.is_file():
-        say(hanging("", f"The file of the scene's road is not there, so it was not compared: {path}"), file=sys.stderr)
+        say(wrapped(f"The file of the scene's road is not there, so it was not compared: {path}"), file=sys.stderr)
         return
     with tempfile.TemporaryDirectory() as folder:
         own = Path(folder) / "road.xodr"
@@ -116,7 +116,7 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
             return EXECUTION_FAILED
     judged = judgment(data, None, SPECS)
     trace, violated = judged.trace, judged.verdict.violated
-    say(hanging("", f"{logical.describe(scenario)}: {outcome(violated, trace.end)} after {trace.duration:.2f} s"))
+    say(wrapped(f"{logical.describe(scenario)}: {outcome(violated, trace.end)} after {trace.duration:.2f} s"))
     if judged.violation_class is not None:
         say(f"Class: {judged.violation_class}")
     return OK

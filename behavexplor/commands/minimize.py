@@ -11,7 +11,7 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.wording import counted, hanging, say
+from behavexplor.commands.wording import counted, hanging, say, wrapped
 from behavexplor.errors import InputError, sentence
 from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Minimized, fault_words
@@ -37,17 +37,17 @@ def minimize(
         run: The run folder.
         numbers: Numbers of failed executions; by default the first failure of each class.
         every: Minimize all failures.
-        running: How the driver runs.
+        running: Flags; see `Running`.
         afresh: Minimize failures again that have been minimized before. Those for which triage has found another fault
             or cause since then are always minimized again.
     """
     if every and numbers:
         raise InputError("Give either numbers of executions or --all")
-    work = RunMinimization(run, running.accepted(run), running.count, numbers, every=every, afresh=afresh)
+    work = RunMinimization(run, running.accepted_config(run), running.n_workers, numbers, every=every, afresh=afresh)
     if work.waiting and not running.quiet:
         many = counted(len(work.waiting), "failure")
         text = f"{many} to minimize, each in at most {LIMIT} executions of simpler scenarios"
-        say(hanging("", text), file=sys.stderr)
+        say(wrapped(text), file=sys.stderr)
     try:
         with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
             found = work.minimize(meter.show)
@@ -65,10 +65,9 @@ def table(found: Sequence[Minimized]) -> str:
     lost = [minimal for minimal in found if not minimal.reproduced]
     kept = [minimal for minimal in found if minimal.reproduced]
     lines = [
-        hanging(
-            "",
+        wrapped(
             f"Execution {minimal.id} did not fail in the same way when it was repeated, or its driver ended or blocked "
-            "its process, so it was not minimized",
+            "its process, so it was not minimized"
         )
         for minimal in lost
     ]
@@ -85,11 +84,10 @@ def table(found: Sequence[Minimized]) -> str:
             "",
             *(line for one in kept for line in _named(one)),
             "",
-            hanging(
-                "",
+            wrapped(
                 f"{counted(len(kept), 'failure')}; in the median, parts {parts[0]:g} -> {parts[1]:g}, free values "
                 f"{values[0]:g} -> {values[1]:g} (a part: a scripted vehicle, or draws of highway-env that belong "
-                "together)",
+                "together)"
             ),
         ]
         unfinished = sum(not one.is_minimal for one in kept)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.wording import hanging
+from behavexplor.commands.wording import wrapped
 from behavexplor.data.trace import ARRIVED
 from behavexplor.evaluation import Evaluation
 from behavexplor.judge.specs import SPECS
@@ -24,7 +24,7 @@ def rates_table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
         kind, _, fault = outcome.partition(": ")
         rates.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, f"{first.rate(outcome):.1%}{interval}")
     intervals = "the one interval that holds is below" if first.decision else "with 95 % intervals"
-    lines = [hanging("", f"{first.n} scenarios of {env}, {intervals}:"), plain_text(rates)]
+    lines = [wrapped(f"{first.n} scenarios of {env}, {intervals}:"), plain_text(rates)]
     if others:
         shown = [outcome for outcome in _rows(dict(others)) if ": " not in outcome]
         beside = grid("", *shown, numbers=shown)

@@ -3,6 +3,7 @@
 import shlex
 import sys
 import textwrap
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from itertools import groupby
@@ -15,12 +16,13 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.confirmation import can_be_confirmed, keep, known
 from behavexplor.campaign.judgment import confirmation, repeat_execution
 from behavexplor.campaign.provenance import DRIVING, Consent
+from behavexplor.campaign.record import Record
 from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
 from behavexplor.commands.flags import RunFolder, Switch, Trust
-from behavexplor.commands.wording import hanging, say
+from behavexplor.commands.wording import hanging, say, wrapped
 from behavexplor.data.durable import folder_in, new_file
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import ARRIVED, Trace
@@ -28,16 +30,17 @@ from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
-from behavexplor.judge.specs import NOTHING_NEAR, SPECS, Destination, judge
+from behavexplor.judge.specs import NOTHING_NEAR, Collision, Destination, judge
 from behavexplor.report.drawing import Footage, decisive_frame, draw, footage_of, save_animation
 from behavexplor.report.road_shapes import known_road
 from behavexplor.triage.closed_loop import drive_again
 from behavexplor.triage.findings import OtherDriver, Witness, known_findings, read_witness, witness_path
 from behavexplor.triage.witness import avoids, replay_witness
 
-COLLISION = SPECS[0].name
+COLLISION = Collision().name
 
-_Place = tuple[Path] | tuple[Path, str]  # of the pictures: a folder, or one inside a run folder
+# arguments of `folder_in`: the folder of --out, or that in the run folder
+_FolderParts = tuple[Path] | tuple[Path, str]
 
 
 def replay(
@@ -68,14 +71,14 @@ def replay(
     execution = store.execution(number)
     store.close()
     config = accepted_run(run, Consent(trust, unconfined), DRIVING)
-    place = (run, "replays") if out is None else (out,)
+    folder_parts = (run, "replays") if out is None else (out,)
     if avoided:
-        return _avoid(execution, config, run, place)
+        return _avoid(execution, config, run, folder_parts)
     if (failure := execution.record.error) is not None:
         say(sentence(f"Execution {number}: {ADSError(failure['kind'], failure['message'])}"))
     else:
-        _show(execution, _road(config, run), place)
-        say(hanging("", "The same episode in a loop of your own; any policy can take the place of env.driver:"))
+        _show(execution, _road(config, run), folder_parts)
+        say(wrapped("The same episode in a loop of your own; any policy can take the place of env.driver:"))
         say(textwrap.indent(snippet(run, number), "    "))
     return _compare(execution, config, run)
 
@@ -85,43 +88,53 @@ def _road(config: CampaignConfig, run: Path) -> RoadShape:
     return known_road(config.env, run) or RoadShape(())
 
 
-def _show(execution: Execution, shape: RoadShape, place: _Place) -> None:
-    """Draw an execution."""
+def _show(execution: Execution, shape: RoadShape, folder_parts: _FolderParts) -> None:
+    """Draw an execution, and check that it belongs to the environment of the run."""
     foreign = f"Execution {execution.id} does not belong to the environment of this run"
     if shape.surfaces and len(execution.load_trace().illegal_lines) != len(shape.line_kinds):  # if the road is known
         raise InputError(f"{foreign}: its trace has different illegal lines")
     try:
-        _draw(execution, shape, place)
+        _draw(execution, shape, folder_parts)
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{foreign}: in its record, {error} is wrong or missing") from None
 
 
-def _draw(execution: Execution, shape: RoadShape, place: _Place) -> None:
+def _draw(execution: Execution, shape: RoadShape, folder_parts: _FolderParts) -> None:
     """Write the pictures and print a description."""
     footage = footage_of(execution, shape)
-    trace, caption, violated = footage.trace, footage.caption, execution.record.violated
-    frame = decisive_frame(trace, violated)
-    near = {name: degree for name, degree in execution.record.degrees.items() if degree < NOTHING_NEAR}
-    if trace.signals and ARRIVED not in trace.signals:  # there is no destination
-        near.pop(Destination().name, None)
-    degrees = ", ".join(f"{name} {degree:.2f}{' (violated)' * (name in violated)}" for name, degree in near.items())
-    animation, picture = _save(footage, frame, place, f"{execution.id:06d}")
-    say(hanging("", f"Execution {execution.id} {caption} after {trace.duration:.2f} s"))
+    trace = footage.trace
+    frame = decisive_frame(trace, execution.record.violated)
+    degrees = _degrees_text(execution.record, trace)
+    animation, picture = _save(footage, frame, folder_parts, f"{execution.id:06d}")
+    say(wrapped(f"Execution {execution.id} {footage.caption} after {trace.duration:.2f} s"))
     if footage.decisions:
-        runs = [(name, len(list(alike))) for name, alike in groupby(name for _, name in footage.decisions)]
-        told = ", ".join(name if count == 1 else f"{count} x {name}" for name, count in runs)
-        say(hanging("", f"The driver's decisions: {told}"))
-    say(hanging("", "Violation degrees, which guide the search (lower is nearer to a violation):"))
+        say(wrapped(f"The driver's decisions: {_repetitions(name for _, name in footage.decisions)}"))
+    say(wrapped("Violation degrees, which guide the search (lower is nearer to a violation):"))
     say(hanging("  ", degrees))
     say(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
 
-def _save(footage: Footage, frame: int, place: _Place, name: str) -> tuple[Path, Path]:
+def _degrees_text(record: Record, trace: Trace) -> str:
+    """Return a record's degrees as text, without those of requirements for which nothing was near."""
+    near = {name: degree for name, degree in record.degrees.items() if degree < NOTHING_NEAR}
+    if trace.signals and ARRIVED not in trace.signals:  # there is no destination
+        near.pop(Destination().name, None)
+    marked = {name: " (violated)" if name in record.violated else "" for name in near}
+    return ", ".join(f"{name} {degree:.2f}{marked[name]}" for name, degree in near.items())
+
+
+def _repetitions(names: Iterable[str]) -> str:
+    """Return names as text, each with the number of times that it follows itself."""
+    repeated = [(name, len(list(alike))) for name, alike in groupby(names)]
+    return ", ".join(name if count == 1 else f"{count} x {name}" for name, count in repeated)
+
+
+def _save(footage: Footage, frame: int, folder_parts: _FolderParts, name: str) -> tuple[Path, Path]:
     """Write an animation and a picture of one frame, and return their paths."""
     try:
-        folder = folder_in(*place)
+        folder = folder_in(*folder_parts)
     except OSError as error:
-        raise InputError(f"The folder {Path(*place)} cannot be created: {error.strerror}") from None
+        raise InputError(f"The folder {Path(*folder_parts)} cannot be created: {error.strerror}") from None
     animation, picture = folder / f"{name}.gif", folder / f"{name}.png"
     try:
         with new_file(picture) as file:
@@ -133,12 +146,17 @@ def _save(footage: Footage, frame: int, place: _Place, name: str) -> tuple[Path,
     return animation, picture
 
 
-def _avoid(execution: Execution, config: CampaignConfig, run: Path, place: _Place) -> int:
-    """Drive and draw the avoidance of a collision that triage has stored."""
+def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder_parts: _FolderParts) -> int:
+    """Drive and draw the avoidance of a collision that triage has stored.
+
+    Raises:
+        InputError: if none is stored, or it cannot be driven in this environment.
+    """
     file = witness_path(run, execution.id)
     if not file.is_file():
         raise InputError(_why_not_avoided(execution, run))
-    witness, recorded = read_witness(file), execution.load_trace()
+    witness = read_witness(file)
+    recorded = execution.load_trace()
     trace, is_avoided = _driven(execution, config, witness, recorded)
     if not is_avoided:
         say(f"The maneuver in {file} does NOT avoid the collision.", file=sys.stderr)
@@ -147,7 +165,7 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, place: _Plac
     begin = witness.begin if isinstance(witness, Witness) else 0.0
     caption = f"{witness.name} from {begin:.2f} s on"
     footage = replace(footage_of(execution, _road(config, run)), trace=trace, caption=caption, violated=())
-    animation, picture = _save(footage, frame, place, f"{execution.id:06d}-avoided")
+    animation, picture = _save(footage, frame, folder_parts, f"{execution.id:06d}-avoided")
     say(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
     say(f"Animation: {animation}\nAt the time of the collision: {picture}")
     return OK
@@ -155,11 +173,12 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, place: _Plac
 
 def _why_not_avoided(execution: Execution, run: Path) -> str:
     """Return why no avoidance of a collision is stored, as a sentence."""
-    number, known = execution.id, known_findings(run)
+    number = execution.id
+    findings = known_findings(run)
     if COLLISION not in execution.record.violated:
         return f"Execution {number} has no collision that could be avoided"
-    if number in known:
-        return f"No avoidance of the collision in execution {number} is known: its fault is {known[number].fault}"
+    if number in findings:
+        return f"No avoidance of the collision in execution {number} is known: its fault is {findings[number].fault}"
     command = f"{program()} triage {shlex.quote(str(run))}"
     return f"The collision in execution {number} has not been examined yet: {command} looks for ways to avoid it"
 
@@ -169,7 +188,7 @@ def _driven(
 ) -> tuple[Trace, bool]:
     """Drive a witness, and return its trace and whether it avoids the collision and fails in no other way."""
     scenario: Any = execution.scenario
-    if scenario.has_original != isinstance(witness, OtherDriver):
+    if isinstance(witness, OtherDriver) != scenario.has_original:  # of highway-env's environments, unlike a maneuver
         raise InputError(f"The avoidance stored for execution {execution.id} belongs to an environment of another kind")
     if isinstance(witness, OtherDriver):
         trace = drive_again(scenario, witness)
@@ -187,14 +206,14 @@ def _compare(execution: Execution, config: CampaignConfig, run: Path) -> int:
 
     A failure in one of highway-env's environments is also confirmed there, if that has not been tried.
     """
-    found = known(run).get(execution.id)
+    tried = known(run).get(execution.id)
     with start_executor(config.target, 1) as executor:
-        again = repeat_execution(executor, execution)
-        if found is None and config.confirm and can_be_confirmed(execution.record):
-            found = confirmation(executor, execution)
-            with suppress(OSError):  # someone else's folder
-                keep(run, execution.id, found)
-    if found is not None:
-        say(hanging("", found.said_of(execution.id)), file=sys.stdout if found.state == "confirmed" else sys.stderr)
-    say(hanging("", again.words), file=sys.stdout if again.reproduced else sys.stderr)
-    return OK if again.reproduced else CHECK_FAILED
+        repetition = repeat_execution(executor, execution)
+        if tried is None and config.confirm and can_be_confirmed(execution.record):
+            tried = confirmation(executor, execution)
+            with suppress(OSError):  # it may be someone else's folder, and not writable
+                keep(run, execution.id, tried)
+    if tried is not None:
+        say(wrapped(tried.said_of(execution.id)), file=sys.stdout if tried.state == "confirmed" else sys.stderr)
+    say(wrapped(repetition.words), file=sys.stdout if repetition.reproduced else sys.stderr)
+    return OK if repetition.reproduced else CHECK_FAILED

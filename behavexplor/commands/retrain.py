@@ -17,7 +17,7 @@ from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, Trust, check_unchanged, flag, settings
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.trainings import begin_training, progress_line, resumed_config
-from behavexplor.commands.wording import hanging, say
+from behavexplor.commands.wording import say, wrapped
 from behavexplor.errors import InputError, missing_library, sentence
 from behavexplor.repair.retraining_rounds import CONFIG, DivergedError, RetrainingConfig, Round, best
 
@@ -105,7 +105,7 @@ def _run(config: RetrainingConfig, folder: Path, *, quiet: bool) -> int:
     say(_table(rounds))
     chosen = best(rounds).number
     if chosen == 0:
-        say(hanging("", f"No round was better than the policy as it was given, of which {name} is a copy."))
+        say(wrapped(f"No round was better than the policy as it was given, of which {name} is a copy."))
         return OK
     say(f"\nThe policy of round {chosen} is in {name}\nWhat it fixed and what it broke:")
     say(comparison(config, made))

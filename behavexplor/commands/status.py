@@ -8,7 +8,7 @@ from behavexplor.campaign.store import last_written
 from behavexplor.commands import OK
 from behavexplor.commands.flags import RunFolder
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
-from behavexplor.commands.wording import clock, hanging, say
+from behavexplor.commands.wording import clock, hanging, say, wrapped
 
 
 def status(run: RunFolder, *, json_file: JsonFile = None) -> int:
@@ -22,7 +22,7 @@ def status(run: RunFolder, *, json_file: JsonFile = None) -> int:
     found, is_running = summarize(run), is_being_written(run)
     ago = max(time.time() - last_written(run), 0.0)
     write_json(json_file, {"run": str(run), "running": is_running, "written_ago": ago, **found.to_dict()})
-    unsure = [hanging("", line) for line in found.not_confirmed]
+    unsure = [wrapped(line) for line in found.not_confirmed]
     say("\n".join([_head(found, is_running=is_running, ago=ago), *_class_lines(found), *unsure]), file=output)
     return OK
 
@@ -35,7 +35,7 @@ def _head(found: RunSummary, *, is_running: bool, ago: float) -> str:
         f"({found.rate:.1f} per second)",
         found.words,
     )
-    return "\n".join(hanging("", line) for line in lines)
+    return "\n".join(wrapped(line) for line in lines)
 
 
 def _class_lines(found: RunSummary) -> list[str]:

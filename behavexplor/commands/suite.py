@@ -37,12 +37,12 @@ def suite(
     Args:
         runs: Run folders of one environment.
         out: Folder of the suite, new or empty.
-        running: How the driver runs.
+        running: Flags; see `Running`.
     """
     if not runs:
         raise InputError("Give at least one run folder, such as runs/my-run")
     check_free(out)  # before failures are minimized, which takes minutes
-    configs = [(run, running.accepted(run)) for run in runs]
+    configs = [(run, running.accepted_config(run)) for run in runs]
     check_same_driving(configs[0], configs[1:])
     cases: dict[str, Case] = {}
     try:
@@ -82,7 +82,7 @@ def _cases(run: Path, config: CampaignConfig, taken: Mapping[str, Case], running
             chosen = [ids[attempt] for ids in left.values() if len(ids) > attempt]
             if not chosen:
                 break
-            work = RunMinimization(run, config, running.count, chosen)
+            work = RunMinimization(run, config, running.n_workers, chosen)
             with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
                 good = [minimal for minimal in work.minimize(meter.show) if minimal.reproduced]
             made += [case_of(store, config, minimal) for minimal in good]

@@ -12,7 +12,7 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.wording import class_count, counted, hanging, say
+from behavexplor.commands.wording import class_count, counted, hanging, say, wrapped
 from behavexplor.data.trace import UNKNOWN
 from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
@@ -20,8 +20,8 @@ from behavexplor.triage.findings import Finding, Sighting, Triage, fault_words, 
 from behavexplor.triage.run_triage import RunTriage
 from behavexplor.triage.signatures import agreement
 
-_NUMBER = re.compile(r" \d+$")  # of random actions
-_BELOW = " " * 9  # the number of a class
+_NUMBER = re.compile(r" \d+$")  # at the end of "random actions 7"
+_BELOW = " " * 9  # as wide as the number of failures before a class
 
 
 def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
@@ -32,17 +32,18 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
 
     Args:
         run: The run folder.
-        running: How the driver runs.
+        running: Flags; see `Running`.
         afresh: Examine all failures again.
     """
-    work = RunTriage(run, running.accepted(run), running.count, afresh=afresh)
+    work = RunTriage(run, running.accepted_config(run), running.n_workers, afresh=afresh)
     try:
         with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
             found = work.examine(meter.show)
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A failure could not be examined or confirmed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    say("\n".join([report(found), *(hanging("", line) for line in not_confirmed(known(run)))]))
+    unconfirmed = [wrapped(line) for line in not_confirmed(known(run))]
+    say("\n".join([report(found), *unconfirmed]))
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:
         command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"
@@ -51,39 +52,36 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
 
 
 def report(found: Triage) -> str:
-    """Return the tables for the terminal."""
+    """Return the findings as text for the terminal."""
     flaky = sum(not finding.same_verdict for finding in found.findings)
     again = f"{flaky} did not happen again" if flaky else "all happened again when they were driven again"
-    classes = class_count(len(found.classes))
+    failures, classes = counted(len(found.findings), "failure"), class_count(len(found.classes))
+    summary = f"{failures} in {found.executions} executions, in {classes}; {again}"
     lines = [
-        hanging(
-            "", f"{counted(len(found.findings), 'failure')} in {found.executions} executions, in {classes}; {again}"
-        ),
+        wrapped(summary),
         "",
         *_class_lines(found),
         *_witnesses(found.findings),
         *_last_chances(found.findings),
         "",
-        hanging(
-            "",
-            "A class groups failures that look alike. It begins with the violated requirement: R1 collision, R2 "
-            "illegal line touched, R3 destination missed.",
+        wrapped(
+            "A class groups failures that look alike. "
+            "It begins with the violated requirement: R1 collision, R2 illegal line touched, R3 destination missed."
         ),
     ]
     if found.weaknesses:
         lines += [
-            hanging(
-                "",
-                "Causes such as R2-2 are weaknesses of the rule planner, not requirements: R2-2 is the second weakness "
-                "that leads to violations of R2.",
+            wrapped(
+                "Causes such as R2-2 are weaknesses of the rule planner, not requirements: "
+                "R2-2 is the second weakness that leads to violations of R2."
             ),
             "",
             plain_text(_weakness_table(found)),
             "",
-            hanging(
-                "",
-                "reached: executions in which the weakness could matter; triggered: in which it changed the planner's "
-                "output; detected: failures that it caused; first: number of the first such execution.",
+            wrapped(
+                "reached: executions in which the weakness could matter; "
+                "triggered: in which it changed the planner's output; "
+                "detected: failures that it caused; first: number of the first such execution."
             ),
             *_agreements(found.findings),
         ]
@@ -93,13 +91,13 @@ def report(found: Triage) -> str:
 def _witnesses(findings: Sequence[Finding]) -> list[str]:
     """Return who or what avoided the preventable collisions."""
     names = tally(_NUMBER.sub("", finding.avoidance) for finding in findings if finding.avoidance)
-    return ["", hanging("", f"Preventable collisions were avoided by: {names}")] if names else []
+    return ["", wrapped(f"Preventable collisions were avoided by: {names}")] if names else []
 
 
 def _last_chances(findings: Sequence[Finding]) -> list[str]:
     """Return what the policy did at the last decisions at which its crashes could still be avoided."""
     words = tally(finding.last_chance.words for finding in findings if finding.last_chance)
-    return ["", hanging("", f"At the last chance to avoid a crash, the driver chose: {words}")] if words else []
+    return ["", wrapped(f"At the last chance to avoid a crash, the driver chose: {words}")] if words else []
 
 
 def _class_lines(found: Triage) -> list[str]:
@@ -108,14 +106,14 @@ def _class_lines(found: Triage) -> list[str]:
     for class_id, findings in found.classes.items():
         first = findings[0].id
         shown = next((finding.id for finding in findings if finding.same_trace), first)
-        look = "" if shown == first else f", look at {shown}"
-        said = {
-            "fault": tally(fault_words(f.fault) for f in findings if f.fault),
-            "cause": tally(f.cause for f in findings),
-        }
-        lines += [hanging(f"{len(findings):7}  ", words_of(class_id))]
-        lines += [hanging(_BELOW, f"{class_id}, first {first}{look}")]
-        lines += [hanging(f"{_BELOW}{name}: ", text) for name, text in said.items() if text]
+        hint = "" if shown == first else f", look at {shown}"
+        faults = tally(fault_words(finding.fault) for finding in findings if finding.fault)
+        causes = tally(finding.cause for finding in findings)
+        lines.append(hanging(f"{len(findings):7}  ", words_of(class_id)))
+        lines.append(hanging(_BELOW, f"{class_id}, first {first}{hint}"))
+        for name, text in (("fault", faults), ("cause", causes)):
+            if text:
+                lines.append(hanging(f"{_BELOW}{name}: ", text))
     return lines
 
 
@@ -129,6 +127,7 @@ def _weakness_table(found: Triage) -> Table:
 
 
 def _cells(sighting: Sighting) -> tuple[str, str]:
+    """Return the number of executions, and that of the first one, which is empty if there is none."""
     return str(sighting.count), "" if sighting.first is None else str(sighting.first)
 
 
@@ -142,12 +141,11 @@ def _agreements(findings: Sequence[Finding]) -> list[str]:
     classes = agreement(causes, [finding.class_id for finding in caused])
     return [
         "",
-        hanging(
-            "",
-            "The signature, a guess of the cause without replays, is right for "
-            f"{signatures.equal:.0%} of {signatures.n} failures with a known cause (precision "
-            f"{signatures.precision:.2f}, recall {signatures.recall:.2f}). The adjusted Rand index says how well a "
-            "grouping matches the grouping by cause (1: equal, 0: chance): "
-            f"{signatures.adjusted_rand:.2f} for signatures and {classes.adjusted_rand:.2f} for classes.",
+        wrapped(
+            "The signature, a guess of the cause without replays, "
+            f"is right for {signatures.equal:.0%} of {signatures.n} failures with a known cause "
+            f"(precision {signatures.precision:.2f}, recall {signatures.recall:.2f}). "
+            "The adjusted Rand index says how well a grouping matches the grouping by cause (1: equal, 0: chance): "
+            f"{signatures.adjusted_rand:.2f} for signatures and {classes.adjusted_rand:.2f} for classes."
         ),
     ]

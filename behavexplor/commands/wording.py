@@ -26,6 +26,11 @@ def clock(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
+def wrapped(text: str) -> str:
+    """Return a text on as many lines as it needs."""
+    return hanging("", text)
+
+
 def hanging(first: str, text: str) -> str:
     """Return a text that begins beside a first column, and stays right of it on as many lines as it needs.
 

@@ -1,4 +1,7 @@
-"""BehAVExplor: search guided by the novelty of behaviors and by their violation degrees (paper Algorithm 1)."""
+"""BehAVExplor: search guided by the novelty of behaviors and by their violation degrees (paper Algorithm 1).
+
+In this order: energies (section 3.3), the corpus, the assessment of an execution, and the search.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,16 +21,12 @@ from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draw
 from behavexplor.judge.specs import Collision, Lines, Verdict, final_distance
 
 SELECTION_CHANGE = -0.05  # dE_S, the decay with each selection
-_BENIGN_SHARE = 0.1  # a passed mutant costs less energy than a failed one adds
 GAMMA = 1e-5  # gamma of equation 16, against division by zero
-_NOT_MINED = -1  # index of a behavior that was not computed
-_NOVELTY_DRAWS = 1  # purpose of the draws, to tell them apart from those that made the candidate
-_REACH = 10.0  # distance to the destination at which its term saturates [m], as in the paper's section 3.2.2
-MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow
+_BENIGN_SHARE = 0.1  # a passed mutant costs less energy than a failed one adds
 
 
 def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
-    """Compute dE_F of a parent (paper equation 15); #F of its mutants failed, #NF did not, including the last one."""
+    """Compute dE_F of a parent (paper equation 15) from the last mutant and from #F and #NF, which include that one."""
     if failed:
         return n_failed / (n_passed + n_failed)
     return -_BENIGN_SHARE * n_passed / (n_passed + n_failed)
@@ -36,9 +35,9 @@ def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
 def degree_change(parent_degree: float, degree: float, distance: float, *, bounded: bool, gamma: float) -> float:
     """Compute dE_V of a mutant and its parent (paper equation 16).
 
-    The degrees are O_s of the parent and O_s' of the mutant [m], and the distance of their behaviors is dis(s', s) in
-    [0, 1]. Not bounded by tanh, a single mutant at distance 1 changes the energy by 1e5 per meter, and the selection
-    never recovers from it. `gamma` in the denominator prevents division by zero.
+    `parent_degree` and `degree` are O_s and O_s' [m]; `distance` is dis(s', s), in [0, 1]; `gamma` prevents division by
+    zero. Unless `bounded` by tanh, a single mutant at distance 1 changes the energy by 1e5 per meter, and the selection
+    never recovers from it.
     """
     change = (parent_degree - degree) / (1 - distance + gamma)
     return math.tanh(change) if bounded else change
@@ -51,7 +50,9 @@ def selection_probabilities(energies: Floats) -> Floats:
     """
     weights = np.maximum(energies, 0.0)
     total = weights.sum()
-    return np.asarray(weights / total if total > 0 else np.full(len(weights), 1 / len(weights)))
+    if not total > 0:
+        return np.full(len(weights), 1 / len(weights))
+    return np.asarray(weights / total)
 
 
 @dataclass(slots=True)
@@ -117,9 +118,13 @@ class Corpus:
         return chosen
 
 
+MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow
+_REACH = 10.0  # distance to the destination at which its term saturates [m], as in the paper's section 3.2.2
+
+
 @validated
 class AssessmentOptions:
-    """Options of the assessment of an execution. With the defaults it equals the verdict."""
+    """Options of the assessment that guides a search. By default it is the verdict; other values are the release's."""
 
     # violation degree. "sum" is the sum of the specs' degrees, the paper's O. "clipped" is the mean of the terms D_b,
     # D_yellow, D_curb (at most 1 m each) and 1 - min(D, 10) / 10, as released.
@@ -140,7 +145,7 @@ class AssessmentOptions:
 
 @dataclass(frozen=True)
 class Assessment:
-    """Assessment of an execution for a search."""
+    """Violation degree and failure as a search sees them; records and reports have those of the verdict."""
 
     trace: Trace  # the trace, up to its cut if it was cut off
     degree: float  # violation degree, the paper's O. A lower degree is nearer to a violation.
@@ -148,7 +153,7 @@ class Assessment:
 
 
 def assess(trace: Trace, verdict: Verdict, line_kinds: Sequence[str], options: AssessmentOptions) -> Assessment:
-    """Assess an execution."""
+    """Assess an execution whose illegal lines are of these kinds (`CURB`, `DOUBLE_YELLOW`)."""
     seen = _until_retreat(trace, options)
     degree = verdict.degree if options.degree == "sum" else _clipped_degree(seen, line_kinds, options)
     failed = verdict.failed
@@ -184,6 +189,7 @@ def _until_retreat(trace: Trace, options: AssessmentOptions) -> Trace:
 
 
 def _clipped_degree(trace: Trace, line_kinds: Sequence[str], options: AssessmentOptions) -> float:
+    """Compute the degree of the option "clipped"."""
     smaller = replace(trace, size=trace.size - options.box_shrink)
     kinds = np.array(line_kinds)
     terms = [Collision().degree(smaller)]
@@ -208,16 +214,17 @@ class BehAVExplorOptions:
     # source of novelty. "measured" is the novelty of a mutant's behavior. "random" is a control in which novelty and
     # distance are drawn from [0, 1]. "none" is the paper's w/o BG.
     novelty: Literal["measured", "random", "none"] = "measured"
-    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # theta_c: novel behaviors are farther away
+    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # theta_c, from the nearest known behavior
     # testcases whose behaviors are known (the paper's Y): all that were "kept", or only initial and "novel" ones
     known: Literal["kept", "novel"] = "kept"
-    selection: Literal["energy", "uniform"] = "energy"  # of the testcase to mutate; "uniform" is w/o Energy
-    mutation: Literal["energy", "random"] = "energy"  # choice by the testcase's energy, or at random (w/o Energy)
-    waypoint_share: Annotated[float, between(0, 1)] = 0.5  # of the mutations if they are chosen at random
+    selection: Literal["energy", "uniform"] = "energy"  # how a testcase is drawn; "uniform" is the paper's w/o Energy
+    mutation: Literal["energy", "random"] = "energy"  # how its mutation is chosen; "random" is the paper's w/o Energy
+    waypoint_share: Annotated[float, between(0, 1)] = 0.5  # probability of waypoint mutation, if chosen at random
     waypoint_energy: float = 0.5  # theta_e: testcases with more get a waypoint mutation, others a route mutation
-    waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon, of an NPC
-    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon, of an NPC
-    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # of a waypoint of a chosen NPC
+    # epsilon of waypoint and of route mutation, the probability that an NPC stays unchanged
+    waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
+    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
+    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # the same of an NPC's waypoint
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
     sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0  # standard deviation of waypoint mutation [m/s]
     # in highway-env environments, the standard deviation of the small mutation of a draw, as a share of the draw's
@@ -241,7 +248,11 @@ class BehAVExplorOptions:
     gamma: Annotated[float, between(1e-12, 1)] = GAMMA  # in the denominator 1 - d + gamma of the change of the degree
     # options for the violation degree and the failure of an execution, as the search sees them
     assessment: AssessmentOptions = field(default_factory=AssessmentOptions)
-    miner: MinerOptions = field(default_factory=MinerOptions)
+    miner: MinerOptions = field(default_factory=MinerOptions)  # for abstracting behaviors
+
+
+_NOT_MINED = -1  # index of a behavior that was not computed
+_NOVELTY_DRAWS = 1  # purpose of the draws, to tell them apart from those that made the candidate
 
 
 class BehAVExplor:
@@ -285,12 +296,13 @@ class BehAVExplor:
 
     def _kind(self, parent: Testcase, rng: np.random.Generator) -> str:
         """Choose the mutation of the parent (Algorithm 2, line 3)."""
-        little, much = self._logical.mutations
+        little, much = self._logical.mutations  # waypoint and route mutation in scripted scenarios
         if self._options.mutation == "random":
             return little if rng.random() < self._options.waypoint_share else much
         return little if self._corpus.energy(parent.number) > self._options.waypoint_energy else much
 
     def _mutate(self, parent: Testcase, kind: str, rng: np.random.Generator) -> Scenario:
+        """Return a mutant of the parent by a mutation of this kind (Algorithm 2)."""
         options = self._options
         if kind == self._logical.mutations.much:
             return self._logical.mutate_much(parent.scenario, rng, options.route_keep_probability)
@@ -311,33 +323,39 @@ class BehAVExplor:
             behaviors; whether it is `novel`; its `distance` from its parent; whether it was `kept`; the `parent_energy`
             after the update; and its own `energy` if it was kept.
         """
-        run = assess(trace, verdict, self._logical.line_kinds, self._options.assessment)
-        self._n_failed += run.failed
-        behavior = self._miner.describe(run.trace) if self._options.novelty == "measured" else None
+        assessment = assess(trace, verdict, self._logical.line_kinds, self._options.assessment)
+        self._n_failed += assessment.failed
+        behavior = self._miner.describe(assessment.trace) if self._options.novelty == "measured" else None
         if candidate.parent is None:
-            return self._tell_initial(candidate, behavior, run)
-        return self._tell_mutant(candidate, self._corpus[candidate.parent], behavior, run)
+            return self._tell_initial(candidate, behavior, assessment)
+        return self._tell_mutant(candidate, self._corpus[candidate.parent], behavior, assessment)
 
-    def _tell_initial(self, candidate: Candidate, behavior: Behavior | None, run: Assessment) -> Mapping[str, Any]:
+    def _tell_initial(
+        self, candidate: Candidate, behavior: Behavior | None, assessment: Assessment
+    ) -> Mapping[str, Any]:
+        """Learn from an initial scenario. The last one that is awaited ends the initial corpus."""
         self._n_initial += 1
-        if not run.failed:
-            self._keep(candidate, behavior, run, self._options.initial_energy, known=True)
+        if not assessment.failed:
+            self._keep(candidate, behavior, assessment, self._options.initial_energy, known=True)
         if not self._ready and self._corpus and self._n_initial >= self._options.initial_corpus:
             self._miner.fit()
             self._ready = True
-        return {"kept": not run.failed}
+        return {"kept": not assessment.failed}
 
     def _tell_mutant(
-        self, candidate: Candidate, parent: Testcase, behavior: Behavior | None, run: Assessment
+        self, candidate: Candidate, parent: Testcase, behavior: Behavior | None, assessment: Assessment
     ) -> Mapping[str, Any]:
+        """Learn from a mutant: change the energy of its parent, and keep it if it is novel or nearer to a violation."""
         options = self._options
         novelty, distance = self._novelty(candidate, parent, behavior)
         novel = novelty > options.novelty_threshold
-        kept = not run.failed and (novel or run.degree < parent.degree)
-        apart = distance if options.degree_distance == "parent" else novelty
-        change = degree_change(parent.degree, run.degree, apart, bounded=options.bounded, gamma=options.gamma)
-        failed = run.failed or (novel and options.success == "failed-or-novel")
-        parent_energy = self._changed_energy(parent, candidate.origin, change, failed)
+        kept = not assessment.failed and (novel or assessment.degree < parent.degree)
+        compared_distance = distance if options.degree_distance == "parent" else novelty
+        by_degree = degree_change(
+            parent.degree, assessment.degree, compared_distance, bounded=options.bounded, gamma=options.gamma
+        )
+        failed = assessment.failed or (novel and options.success == "failed-or-novel")
+        parent_energy = self._changed_energy(parent, candidate.origin, by_degree, failed)
         self._corpus.set_energy(parent.number, parent_energy)
         learned = {
             "novelty": novelty,
@@ -347,8 +365,9 @@ class BehAVExplor:
             "parent_energy": parent_energy,
         }
         if kept:
-            energy = learned["energy"] = self._energy(parent.degree - run.degree, change, novelty)
-            self._keep(candidate, behavior, run, energy, known=novel or options.known == "kept")
+            energy = self._energy(parent.degree - assessment.degree, by_degree, novelty)
+            learned["energy"] = energy
+            self._keep(candidate, behavior, assessment, energy, known=novel or options.known == "kept")
         if kept and novel:
             self._n_novel += 1
             if behavior is not None and self._miner.due:
@@ -365,31 +384,34 @@ class BehAVExplor:
         distances = self._miner.distances(self._miner.abstract(behavior))
         return float(distances[self._known].min()), float(distances[parent.behavior])
 
-    def _energy(self, gain: float, change: float, novelty: float) -> float:
-        """Compute E_s' of a kept mutant."""
+    def _energy(self, gain: float, by_degree: float, novelty: float) -> float:
+        """Compute E_s' of a kept mutant from its gain in degree [m], its dE_V and its novelty."""
         if self._options.mutant_energy == "degree-and-novelty":
             return 1 + gain / 2 + novelty / 2
-        return 1 + self._options.degree_weight * change  # paper equation 17
+        return 1 + self._options.degree_weight * by_degree  # paper equation 17
 
-    def _changed_energy(self, parent: Testcase, kind: str, change: float, failed: bool) -> float:
+    def _changed_energy(self, parent: Testcase, kind: str, by_degree: float, failed: bool) -> float:
         """Count the outcome of the parent's mutant s', and compute the parent's E_s after it (paper equation 14)."""
-        options, energy = self._options, self._corpus.energy(parent.number)
+        options = self._options
+        energy = self._corpus.energy(parent.number)
         if kind == self._logical.mutations.much and options.route_cost is not None:
             energy -= options.route_cost
         else:
             parent.n_failed += failed
             parent.n_passed += not failed
             energy += options.failure_weight * failure_change(failed, parent.n_failed, parent.n_passed)
-            energy += options.degree_weight * change + options.selection_weight * SELECTION_CHANGE
+            energy += options.degree_weight * by_degree + options.selection_weight * SELECTION_CHANGE
         return energy if options.least_energy is None else max(energy, options.least_energy)
 
     def _keep(
-        self, candidate: Candidate, behavior: Behavior | None, run: Assessment, energy: float, *, known: bool
+        self, candidate: Candidate, behavior: Behavior | None, assessment: Assessment, energy: float, *, known: bool
     ) -> None:
+        """Add a candidate to the corpus. If `known`, its behavior joins Y: those near it are no longer novel."""
         index = self._miner.add(behavior) if behavior is not None else _NOT_MINED
         if known and behavior is not None:
             self._known = np.append(self._known, index)
-        self._corpus.add(Testcase(candidate.number, candidate.scenario, candidate.parent, run.degree, index), energy)
+        testcase = Testcase(candidate.number, candidate.scenario, candidate.parent, assessment.degree, index)
+        self._corpus.add(testcase, energy)
 
     def status(self) -> Mapping[str, float]:
         """Return the size of the corpus, its mean and greatest energy, and the number of novel mutants kept."""
