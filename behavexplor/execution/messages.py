@@ -80,17 +80,22 @@ def answers_in(message: bytes) -> list[tuple[int, bytes]]:
 
 
 def error_answer(error: BaseException, place: str = "") -> bytes:
-    """Return the answer for a call that raised.
-
-    A place, such as " (on the node n7)", is added to the message, but not to that of ADS failures and of rejected
-    input.
-    """
+    """Return the answer for a call that raised; for the place, see `error_words`."""
     if isinstance(error, ADSError):
         return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message, "place": error.place}).encode()
-    if isinstance(error, InputError):
-        return REFUSED + str(error).encode(errors="replace")
+    tag = REFUSED if isinstance(error, InputError) else FAILED
+    return tag + error_words(error, place).encode(errors="replace")
+
+
+def error_words(error: BaseException, place: str = "") -> str:
+    """Return an error in words, and a place after them, such as " (on the node n7)".
+
+    The place is left out of ADS failures and of rejected input.
+    """
+    if isinstance(error, ADSError | InputError):
+        return str(error)
     words = str(error) if type(error) is RuntimeError else described(error)
-    return FAILED + f"{words}{place}".encode(errors="replace")
+    return f"{words}{place}"
 
 
 def answered_error(answer: bytes) -> Exception | None:

@@ -1,6 +1,6 @@
 """The executor for Ray clusters: an actor on each node holds a supervised worker, as on a single machine.
 
-Ray places actors and restarts lost ones. Others repeat the calls of a lost one, which may have no room until later.
+Ray places the actors, and restarts lost ones when it has room. Until then, other actors repeat their calls.
 """
 
 import asyncio
@@ -23,11 +23,11 @@ from weakref import WeakSet
 from behavexplor.errors import InputError, missing_library, unknown_name
 from behavexplor.execution.executor import BATCHES, LOCK_STEP, Executor, available_cores
 from behavexplor.execution.fingerprint import FINGERPRINT, difference, machine_fingerprint
-from behavexplor.execution.messages import REFUSED, RESULT, answered_error, error_answer, settle
+from behavexplor.execution.messages import REFUSED, RESULT, answered_error, error_answer, error_words, settle
 from behavexplor.execution.pool import BEGIN_SECONDS, WorkerPool
 from behavexplor.execution.service import Recipe
 
-MAX_NODES: Final = 256
+MAX_NODES: Final = 256  # the most that can be asked for, or that are taken of a larger cluster
 LOSSES: Final = 3  # number of lost nodes after which a call fails
 ANSWER_SECONDS: Final = 10.0  # time limit for a cluster to answer, and for its nodes to end their workers [s]
 STORE_BYTES: Final = 128 * 2**20  # size of a local cluster's object store, used for answers of more than 100 kB
@@ -64,22 +64,21 @@ def parse_cluster(text: str) -> str:
 class Node:
     """The actor on a node: it calls its worker, and answers with tagged bytes, see `behavexplor.execution.messages`.
 
-    `ads` is a JSON list of the driving systems that must be equal on all machines. A worker with another fingerprint
-    than the campaign's machine refuses all calls. It works in the working directory of the campaign if this node has
-    such a folder.
+    `ads` is a JSON list of the driving systems that must be equal on all machines. A worker with another `fingerprint`
+    than the campaign's machine refuses all calls. It works in `folder`, that of the campaign, if this node has it.
     """
 
     def __init__(self, recipe: Recipe, limits: Limits, ads: bytes, fingerprint: bytes, folder: str) -> None:
         if Path(folder).is_dir():
             os.chdir(folder)
-        sys.path.append(str(Path.cwd()))
+        sys.path.append(str(Path.cwd()))  # for the user's own drivers and specs
         self._place = f" (on the node {socket.gethostname()})"
         try:
             self._pool = WorkerPool(1, recipe, *limits)
             problem = difference(self._pool.submit(FINGERPRINT, ads).result(), fingerprint)
         except Exception as error:
-            problem = error_answer(error, self._place)[1:].decode()
-        self._problem = REFUSED + problem.encode() if problem else b""
+            problem = error_words(error, self._place)
+        self._problem = REFUSED + problem.encode(errors="replace") if problem else b""
 
     async def begin(self) -> bytes:
         """Answer with an empty result if the node is ready, or else with its problem."""
@@ -92,7 +91,7 @@ class Node:
         try:
             answer = await asyncio.wrap_future(self._pool.submit(function, data))
             return RESULT + answer
-        except (Exception, asyncio.CancelledError) as error:
+        except (Exception, asyncio.CancelledError) as error:  # `stop` cancels calls that have not started
             return error_answer(error, self._place)
 
     async def stop(self) -> None:
@@ -116,9 +115,9 @@ class _Call(NamedTuple):
 class RayExecutor(Executor):
     """Calls functions of a service on the nodes of a Ray cluster. Each node has a supervised worker of its own.
 
-    For the name of the cluster, see `parse_cluster`. Without a number of nodes, there is one for each core. Those for
-    which there is no room begin when there is. The service must have the function "fingerprint". The driving systems of
-    the names `ads` must be equal on all machines.
+    For the name of the cluster, see `parse_cluster`; `nodes` 0 means one for each core. If there is room for fewer, the
+    others begin when there is room. The service must have the function "fingerprint". The driving systems of the names
+    `ads` must be equal on all machines.
 
     Raises:
         InputError: if there is no such cluster, if Ray is not installed, or if the first node to answer cannot load the
@@ -127,21 +126,23 @@ class RayExecutor(Executor):
     """
 
     def __init__(self, cluster: str, nodes: int, recipe: Recipe, limits: Limits, ads: tuple[str, ...]) -> None:
-        self._ray = _joined(parse_cluster(cluster), nodes)
+        self._ray = _ray_in_cluster(parse_cluster(cluster), nodes)
         self.n_nodes = nodes or max(min(int(self._ray.cluster_resources().get("CPU", 0)), MAX_NODES), 1)
         self._thread = ThreadPoolExecutor(1)  # makes all decisions; others, such as Ray's threads, tell it what is next
-        self._room = 1 if recipe.long_calls else sys.maxsize  # calls of one actor at a time
-        self._left = self._stopped = False
+        self._calls_at_once = 1 if recipe.long_calls else sys.maxsize  # of one actor
+        self._left = False  # whether `shutdown` has been called
+        self._stopped = False  # whether `stop` has been called, after which lost calls are not repeated
         self._calls: WeakSet[Future[bytes]] = WeakSet()  # all calls; the thread owns this and the following fields
         self._waiting: list[_Call] = []
         self._ready: dict[Any, set[Future[bytes]]] = {}  # the calls of each actor that has begun and is not lost
-        self._timer = Timer(BEGIN_SECONDS, self._next)
+        self._timer = Timer(BEGIN_SECONDS, self._enqueue)  # gives up if no actor is ready in time; replaced by `_begin`
         self._error: Exception | None = None
         self._first: Future[None] = Future()
+        # Ray repeats `begin`; calls are repeated on other nodes
         node = self._ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=LOSSES - 1)(Node)
         settings = (recipe, limits, json.dumps(ads).encode(), machine_fingerprint(ads), str(Path.cwd()))
         self._actors = [node.remote(*settings) for _ in range(self.n_nodes)]
-        self._next(self._begin, *self._actors)
+        self._enqueue(self._begin, *self._actors)
         try:
             self._first.result()
         except BaseException:
@@ -153,18 +154,18 @@ class RayExecutor(Executor):
         if self._left:
             raise RuntimeError("the cluster has been left")
         future: Future[bytes] = Future()
-        self._next(self._add, _Call(future, function, data, 0))
+        self._enqueue(self._add, _Call(future, function, data, 0))
         return future
 
     @property
     def room(self) -> int:  # type: ignore[override]
-        """Number of further calls for the nodes that are ready; see `Executor`. The batch of a node is not known."""
+        """Number of further calls for the nodes that are ready, as if each worked in batches of `LOCK_STEP`."""
         calls = list(self._ready.values())
         return BATCHES * LOCK_STEP * len(calls) - sum(map(len, calls)) - len(self._waiting)
 
     def stop(self) -> None:
         """Cancel calls that have not started, and ask running calls to end early."""
-        self._next(self._stop)
+        self._enqueue(self._stop)
 
     def shutdown(self, *, wait: bool = True) -> None:
         """Leave the cluster: after all calls if `wait`, else at once."""
@@ -173,20 +174,21 @@ class RayExecutor(Executor):
         if wait:
             wait_for(self._thread.submit(self._unanswered).result())
         self._left = True
-        self._next(self._stop)
-        self._next(self._give_up, ClusterError("the cluster has been left"))
+        self._enqueue(self._stop)
+        self._enqueue(self._give_up, ClusterError("the cluster has been left"))
         self._thread.shutdown()
         with suppress(Exception):  # Ray may be gone
             ends = [actor.end.remote() for actor in self._ready]
             self._ray.wait(ends, num_returns=len(ends), timeout=ANSWER_SECONDS)
         self._ray.shutdown()  # this ends the actors
 
-    def _next(self, step: Callable[..., None], *arguments: Any) -> None:
+    def _enqueue(self, step: Callable[..., None], *arguments: Any) -> None:
         """Let the thread take a step after the present ones."""
         with suppress(RuntimeError):  # the cluster has been left
-            self._thread.submit(self._take, step, *arguments)
+            self._thread.submit(self._run_step, step, *arguments)
 
-    def _take(self, step: Callable[..., None], *arguments: Any) -> None:
+    def _run_step(self, step: Callable[..., None], *arguments: Any) -> None:
+        """Take a step in the thread, and give calls to the actors that are free after it."""
         try:
             step(*arguments)
             self._hand_out()
@@ -194,17 +196,18 @@ class RayExecutor(Executor):
             self._give_up(_cluster_error("the cluster cannot be used", error))
 
     def _begin(self, *actors: Any) -> None:
-        """Wait until actors have begun, or until Ray has restarted lost ones."""
+        """Ask actors, which are new or were lost, to tell when they have begun; give up if none is ready in time."""
         for actor in actors:
             self._ready.pop(actor, None)
-            actor.begin.remote().future().add_done_callback(partial(self._next, self._begun, actor))
+            actor.begin.remote().future().add_done_callback(partial(self._enqueue, self._begun, actor))
         if not self._ready:
             error = ClusterError(f"no node of the cluster has been ready for {BEGIN_SECONDS:g} s")
-            self._timer = Timer(BEGIN_SECONDS, self._next, [self._give_up, error])
+            self._timer = Timer(BEGIN_SECONDS, self._enqueue, [self._give_up, error])
             self._timer.daemon = True
             self._timer.start()
 
     def _begun(self, actor: Any, answer: "Future[bytes]") -> None:
+        """Count an actor as ready; or give up if it cannot begin, or has a problem."""
         lost = answer.exception()
         problem = _cluster_error("a node cannot begin", lost) if lost else answered_error(answer.result())
         if problem is not None:
@@ -219,6 +222,7 @@ class RayExecutor(Executor):
         return [future for future in self._calls if not future.done()]
 
     def _add(self, call: _Call) -> None:
+        """Let a new call wait, or fail it if the cluster was given up."""
         self._calls.add(call.future)
         self._waiting.append(call)
         if self._error is not None:
@@ -226,19 +230,25 @@ class RayExecutor(Executor):
 
     def _hand_out(self) -> None:
         """Give waiting calls to the least busy actors that have room for them."""
-        while self._waiting and (free := [actor for actor in self._ready if len(self._ready[actor]) < self._room]):
+        while self._waiting and (free := self._free()):
             call = self._waiting.pop(0)
-            if not call.future.done() and (call.future.running() or call.future.set_running_or_notify_cancel()):
-                actor = min(free, key=lambda actor: len(self._ready[actor]))
-                self._ready[actor].add(call.future)
-                answer = actor.ask.options(max_task_retries=0).remote(call.function, call.data).future()
-                answer.add_done_callback(partial(self._next, self._answered, actor, call))
+            if call.future.done() or not (call.future.running() or call.future.set_running_or_notify_cancel()):
+                continue
+            actor = min(free, key=lambda actor: len(self._ready[actor]))
+            self._ready[actor].add(call.future)
+            answer = actor.ask.options(max_task_retries=0).remote(call.function, call.data).future()
+            answer.add_done_callback(partial(self._enqueue, self._answered, actor, call))
+
+    def _free(self) -> list[Any]:
+        """Return the actors that are ready and have room for a call."""
+        return [actor for actor, calls in self._ready.items() if len(calls) < self._calls_at_once]
 
     def _answered(self, actor: Any, call: _Call, answer: "Future[bytes]") -> None:
         """Pass an answer on; or wait for a lost actor to be restarted, and make its call again on another one."""
         self._ready.get(actor, set()).discard(call.future)
-        error, losses = answer.exception(), call.losses + 1
-        if error is not None and actor in self._ready:
+        error = answer.exception()
+        losses = call.losses + 1
+        if error is not None and actor in self._ready:  # the first of its calls to fail
             self._begin(actor)
         if call.future.done():  # the cluster was given up
             return
@@ -250,10 +260,11 @@ class RayExecutor(Executor):
             call.future.set_exception(_cluster_error(f"a node was lost in attempt {losses} of the call", error))
 
     def _stop(self) -> None:
+        """Cancel calls that have not started, and ask the nodes to end the others early."""
         self._stopped = True
         for future in self._unanswered():
             if future.cancel():
-                future.set_running_or_notify_cancel()  # for those that wait for it
+                future.set_running_or_notify_cancel()  # wakes those that wait for it, which `cancel` alone does not
         for actor in self._ready:
             actor.stop.remote()
 
@@ -269,15 +280,16 @@ class RayExecutor(Executor):
         self._waiting.clear()
 
 
-def _joined(address: str, nodes: int) -> Any:
+def _ray_in_cluster(address: str, nodes: int) -> Any:
     """Join a cluster, or start one on this machine, and return the module `ray`."""
     try:
         import ray  # noqa: PLC0415 - need not be installed
     except ModuleNotFoundError as error:
         raise missing_library("--cluster ray", error.name, "ray") from None
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here sends no usage statistics
-    room = {"num_cpus": nodes or available_cores(), "object_store_memory": STORE_BYTES}
-    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL} | ({} if address else room)
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+    if not address:
+        options |= {"num_cpus": nodes or available_cores(), "object_store_memory": STORE_BYTES}
     try:
         if found := _ADDRESS.fullmatch(address):  # without a server, Ray retries for minutes and then exits
             socket.create_connection((found["host"].strip("[]"), int(found["port"])), ANSWER_SECONDS).close()

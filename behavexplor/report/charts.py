@@ -1,4 +1,4 @@
-"""Layout of charts: positions of lines, dots, ticks and labels. The page template draws them as SVG."""
+"""Layout of charts and of the bar of stages: positions of lines, dots, ticks and labels. The page draws them as SVG."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,8 +31,8 @@ class Series:
 class Drawn:
     """A series as shapes."""
 
-    name: str  # name of the series
-    style: int  # style of the series
+    name: str
+    style: int
     path: str  # SVG path of the line; empty for dots
     dots: tuple[tuple[float, float], ...]  # positions of the dots
 
@@ -41,8 +41,8 @@ class Drawn:
 class Chart:
     """A chart with its axes."""
 
-    title: str  # title of the chart
-    series: tuple[Drawn, ...]  # series as shapes
+    title: str
+    series: tuple[Drawn, ...]
     x_ticks: tuple[tuple[float, str], ...]  # positions and labels of the ticks on the x axis
     y_ticks: tuple[tuple[float, str], ...]  # positions and labels of the ticks on the y axis
     rows: tuple[tuple[str, ...], ...]  # rows of the table under the chart: an execution, then a value of each series
@@ -57,7 +57,8 @@ def chart(title: str, series: Sequence[Series]) -> Chart | None:
     y_end = max(float(np.nanmax(line.y)) for line in given)
     y_start = min(0.0, *(float(np.nanmin(line.y)) for line in given))
     values = np.concatenate([line.y[np.isfinite(line.y)] for line in given])
-    y_marks = ticks(y_start, y_end, whole=bool((values == np.rint(values)).all()))
+    are_whole = bool((values == np.rint(values)).all())
+    y_marks = ticks(y_start, y_end, whole=are_whole)
     y_start, y_end = min(y_start, y_marks[0]), max(y_end, y_marks[-1])
     across = Scale(0.0, x_end, LEFT, WIDTH - RIGHT)
     up = Scale(y_start, y_end, HEIGHT - BOTTOM, TOP)
@@ -74,10 +75,10 @@ def chart(title: str, series: Sequence[Series]) -> Chart | None:
 class Scale:
     """Linear map from values to positions on a chart, rounded to the written precision."""
 
-    start: float
-    end: float
-    first: float
-    last: float
+    start: float  # first value
+    end: float  # last value
+    first: float  # position of the first value
+    last: float  # position of the last value
 
     def __call__(self, value: float) -> float:
         """Return the position of a value."""
@@ -103,6 +104,7 @@ def _label(value: float) -> str:
 
 
 def _drawn(line: Series, across: Scale, up: Scale) -> Drawn:
+    """Return a series as dots, or as a line of steps; thinned out to `_MOST_POINTS`."""
     known = np.flatnonzero(np.isfinite(line.y))
     if len(known) > _MOST_POINTS:
         known = known[np.linspace(0, len(known) - 1, _MOST_POINTS).astype(int)]
@@ -112,8 +114,9 @@ def _drawn(line: Series, across: Scale, up: Scale) -> Drawn:
     path = f"M{points[0][0]:g} {points[0][1]:g}"
     before = points[0]
     for point in points[1:]:
-        if point[1] != before[1] or point is points[-1]:  # counts are drawn as steps
-            path += f"H{point[0]:g}" + (f"V{point[1]:g}" if point[1] != before[1] else "")
+        rises = point[1] != before[1]
+        if rises or point is points[-1]:  # counts are drawn as steps
+            path += f"H{point[0]:g}" + (f"V{point[1]:g}" if rises else "")
             before = point
     return Drawn(line.name, line.style, path, ())
 
@@ -143,7 +146,7 @@ class StagePart:
 
 
 def stage_parts(stages: Mapping[str, float]) -> tuple[StagePart, ...]:
-    """Return the parts of a bar, in the order of the stages, without stages that took no time."""
+    """Return the parts of a bar for the time in each stage [s], in their order, without stages that took no time."""
     total = sum(stages.values())
     parts, before = [], 0.0
     for style, (name, words) in enumerate(STAGES.items()):
