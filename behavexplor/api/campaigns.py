@@ -80,7 +80,9 @@ def config_of(
     specs: Sequence[Requirement],
     **values: Any,
 ) -> CampaignConfig:
-    """Return the configuration of a campaign.
+    """Return the configuration of a campaign. `env`, `env_config` and `specs` are those of `find_failures`.
+
+    The other values are by the keys of the configuration.
 
     Raises:
         InputError: if a value cannot be used.

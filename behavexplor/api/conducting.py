@@ -39,9 +39,10 @@ def conduct(
     stop_after: int | None = None,
     progress: bool | Observer | None = None,
 ) -> None:
-    """Conduct a campaign until its budget is used up.
+    """Conduct a campaign until its budget is used up; or with `resume`, go on with the one in its run folder.
 
-    It raises what `behavexplor.campaign.opening.opened` does, and `Interrupted` after Ctrl-C.
+    For `workers`, `stop_after` and `progress`, see `behavexplor.find_failures`. It raises what
+    `behavexplor.campaign.opening.opened` does, and `Interrupted` after Ctrl-C.
     """
     if stop_after is not None and stop_after < 1:
         raise InputError(f"stop_after={stop_after} must be at least 1")
@@ -64,7 +65,7 @@ def conduct(
 
 
 def worker_count(given: GivenDriver, target: Target, workers: int | None) -> int:
-    """Return the number of worker processes: the one that was asked for, or as few as possible.
+    """Return the number of worker processes: the one that was asked for, or for None as few as possible.
 
     Raises:
         InputError: if there cannot be that many, or the driver cannot drive in them.

@@ -44,7 +44,7 @@ def in_notebook() -> bool:
 def observed(progress: bool | Observer | None, budget: Budget) -> Iterator[Observer]:
     """Return a function that shows the progress of a campaign: the given one, or our own if asked for.
 
-    None shows it in notebooks only.
+    False shows nothing; None shows the progress in notebooks only.
     """
     if callable(progress):
         yield progress

@@ -124,8 +124,9 @@ class Clusters(NamedTuple):
 
 
 def nearest_clusters(states: NDArray[np.floating], window: int, tail: Tail, clusters: Clusters) -> Labels:
-    """Return the cluster that is nearest to each merged state, shape (windows,); see `merged_states`.
+    """Return the index of the cluster that is nearest to each merged state, shape (windows,).
 
+    For the ego's states, shape (N', 8), the window and the tail, see `merged_states`.
     The sums of the distances run in a fixed order, so that ties do not depend on the number of threads. The first of
     several clusters that are equally near is taken.
     """
@@ -224,7 +225,8 @@ def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> Non
 def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels: NDArray[np.uint8]) -> None:
     """Fill in the cluster whose center is nearest to the statistics of each window, the first of several.
 
-    For states, shape (attributes, n), see `fill_statistics`. The labels, shape (n - window + 1,), are changed in place.
+    For states, shape (attributes, n), and `still`, see `fill_statistics`. The labels, indices of clusters, shape
+    (n - window + 1,), are changed in place.
     """
     columns, terms = np.empty((N_STATISTICS, len(labels))), np.empty(x.shape[1])
     products = np.zeros((2, len(clusters.centers), len(labels)))  # of even and odd features

@@ -1,5 +1,8 @@
 """BehaviorMiner: convert traces to sequences of abstract states, which can be compared.
 
+In this order: the distances of such sequences, the clusters of states, the miner, the file that keeps states, and the
+archive of a campaign's distinct behaviors.
+
 Source: paper section 3.2.1. The cost of refitting the clusters would grow with every behavior. Here, a refit starts
 from the centers of the last one, uses a bounded sample of merged states, and happens at growing intervals.
 """
@@ -73,10 +76,10 @@ class AbstractTraces:
         return slice(self._starts[index], self._starts[index + 1])
 
     def distances(self, labels: Labels) -> Floats:
-        """Compute the distance of an abstract trace from each of these, `dis` of the paper's equation 9.
+        """Compute the distance of an abstract trace, shape (length,), from each of these; shape (len(self),).
 
-        (Hamming distance over the common part + difference of the lengths) / the longer length, in [0, 1]. That of two
-        empty traces is 0. There is one distance for each of these.
+        It is `dis` of the paper's equation 9: (Hamming distance over the common part + difference of the lengths) / the
+        longer length, in [0, 1]. That of two empty traces is 0.
         """
         distances = np.empty(self._count)
         find_distances(self._labels, self._starts[: self._count + 1], labels, distances)
@@ -120,7 +123,8 @@ def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_stat
 
     A single thread computes them, so that their last bits do not depend on the machine's number of threads. If there
     are fewer distinct rows than clusters, some centers are equal, and the first of them gets the rows. Rows, shape (n,
-    features), may be changed in their last bits. A start is centers, or the name of scikit-learn's way to choose them.
+    features), may be changed in their last bits. A start is centers, or the name of scikit-learn's way to choose them
+    by `random_state`.
     """
     from sklearn import config_context  # noqa: PLC0415 - slow to import, needed only once a campaign runs
     from sklearn.cluster import KMeans  # noqa: PLC0415
@@ -261,7 +265,7 @@ class BehaviorMiner:
 
 
 def _scaled(sample: NDArray[np.float32], scaling: Scaling) -> tuple[Floats, Floats, Floats]:
-    """Return scaled rows, and the mean and the scale of each feature, see `behavexplor.behavior.clusters.Clusters`."""
+    """Return scaled rows, and the mean and the scale of each feature, see `behavexplor.behavior.features.Clusters`."""
     if scaling == "none":
         return sample.astype(np.float64), np.zeros(N_FEATURES), np.ones(N_FEATURES)
     rows, mean, scale = np.empty(sample.shape), np.zeros(N_FEATURES), np.zeros(N_FEATURES)

@@ -55,7 +55,7 @@ def read_archive(runs: Sequence[PlannedRun], root: Path) -> Archive:
 
 
 def write_archive(summaries: Archive, root: Path) -> None:
-    """Add campaigns to the archive of an experiment. Campaigns of other experiments in it are kept.
+    """Add finished campaigns to the archive in an experiment's folder `root`, and keep those of other experiments.
 
     Raises:
         InputError: if the archive is damaged.

@@ -70,7 +70,7 @@ class CampaignService(Service):
             self._campaign.stop()
 
     def run(self, request: bytes) -> bytes:
-        """Run or resume a campaign.
+        """Run or resume a campaign, as `campaign_request` asks for it.
 
         Returns:
             An `Outcome` as JSON and a newline, followed by the packed run folder if the request has no folder on this
@@ -88,7 +88,7 @@ class CampaignService(Service):
             return _to_json(outcome) + b"\n" + pack(folder)
 
     def run_in(self, config: CampaignConfig, folder: Path, workers: int) -> Outcome:
-        """Run or resume a campaign in a run folder."""
+        """Run or resume a campaign in a run folder; 0 `workers` execute its scenarios in this process."""
         warnings: list[str] = []
         try:
             finished = self._run(config, folder, workers, warnings)
@@ -110,14 +110,17 @@ class CampaignService(Service):
 
 
 def campaign_recipe(targets: Iterable[Target]) -> Recipe:
-    """Return the recipe by which worker processes make the service. Each process runs a single campaign."""
+    """Return the recipe by which worker processes make the service for campaigns with these targets.
+
+    Each process runs a single campaign.
+    """
     modules = dict.fromkeys(module for target in targets for module in evaluator_recipe(target).preload)
     name = f"{CampaignService.__module__}:{CampaignService.__qualname__}"
     return Recipe(name, preload=(*_PRELOAD, *modules), long_calls=True)
 
 
 def campaign_request(config: CampaignConfig, folder: Path, workers: int, *, remote: bool) -> bytes:
-    """Return the request for `CampaignService.run`.
+    """Return the request for `CampaignService.run`; with 0 `workers`, the campaign's own process executes scenarios.
 
     A `remote` campaign may run on a machine without access to the folder, so the folder's contents are part of the
     request.
@@ -192,7 +195,7 @@ class ExperimentProgress:
 
 
 def run_state(run: PlannedRun, root: Path) -> RunState:
-    """Return the state of a run.
+    """Return the state of a run in the experiment's folder `root`.
 
     Raises:
         InputError: if the run folder holds another campaign, or one of another revision, or cannot be read.
@@ -209,7 +212,7 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
 
 
 def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> None:
-    """Refuse a stored campaign that is not that of a run. Its budget may differ.
+    """Refuse a stored campaign that is not that of a run; `what` names it. Its budget may differ.
 
     Raises:
         InputError: if the campaign has another configuration or another revision.
@@ -244,7 +247,10 @@ class ExperimentRunner:
         self.stopping = True
 
     def run(self, observe: Callable[[ExperimentProgress], None]) -> ExperimentProgress:
-        """Run until every run is finished or has failed, or until `stop` is called."""
+        """Run until every run is finished or has failed, or until `stop` is called; return the progress at the end.
+
+        `observe` is called regularly with the progress.
+        """
         if not self._waiting:
             return self.progress
         executor, at_a_time = self._start_executor()
@@ -315,7 +321,7 @@ class ExperimentRunner:
 
 
 def forecast(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: int) -> float:
-    """Return the estimated time for the unfinished runs of an experiment [s].
+    """Return the estimated time for the unfinished ones of these runs, `jobs` campaigns at a time [s].
 
     The estimate uses the measured time per execution of finished campaigns with the same environment, ADS and method.
     Without such a campaign, a few executions are timed now, and the time of the search method itself is left out.
@@ -350,7 +356,7 @@ def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], f
 
 
 def trial(target: Target, batch: int) -> float:
-    """Return the mean time of a few executions [s].
+    """Return the mean time of a few executions, `batch` at a time as in a campaign [s].
 
     Raises:
         InputError: if the ADS or the environment cannot be used.

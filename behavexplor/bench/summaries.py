@@ -106,7 +106,11 @@ class Summary:
         return sum(label in (None, failure.label) for failure in self.failures)
 
     def kinds(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
-        """Return the unique violations, the classes of the failures: of all, of a label, or before an execution."""
+        """Return the unique violations, the classes of the failures.
+
+        None counts all. A label counts the failures that have it, and `before` those before the execution of that
+        number.
+        """
         return frozenset(
             failure.kind
             for failure in self.failures

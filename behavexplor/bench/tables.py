@@ -36,7 +36,7 @@ RARITY: Final = (
 
 
 def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
-    """Return all tables of an experiment."""
+    """Return all tables of an experiment; the summaries are those of its finished campaigns."""
     made = [violations("violations", "Violations found", experiment, summaries, tuple(experiment.methods))]
     cut = in_equal_time(experiment, summaries)
     if cut:

@@ -118,8 +118,8 @@ class Campaign:
     def run(self, observe: Callable[[Progress], None]) -> str | None:
         """Run until the budget is used up, enough failures have been found, or `stop` is called.
 
-        `observe` is called whenever executions have been stored. Return a sentence on why the search ended before its
-        budget was used up; None if it did not.
+        `observe` gets the progress whenever executions have been stored. Return a sentence on why the search ended
+        before its budget was used up; None if it did not.
 
         Raises:
             ExecutionError: if an execution could not be carried out or stored.

@@ -38,7 +38,7 @@ class Judgment:
 
 
 def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec]) -> Judgment:
-    """Judge an execution.
+    """Judge an execution by its trace as bytes, and by how the ADS failed; None if it did not.
 
     Raises:
         ADSError: if the data is no trace.

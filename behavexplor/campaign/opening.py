@@ -197,7 +197,7 @@ Handler = Callable[[int, FrameType | None], object] | signal.Handlers
 
 @contextmanager
 def stopped_by_signals(stop: Callable[[], None], again: Handler) -> Iterator[None]:
-    """Make the first Ctrl-C (or SIGTERM) call `stop`, which ends this code cleanly, and the second one call `again`."""
+    """Make the first Ctrl-C (or SIGTERM) call `stop`, which ends this code cleanly; `again` handles the second one."""
 
     def first(number: int, _frame: FrameType | None) -> None:
         stop()

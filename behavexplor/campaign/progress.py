@@ -98,7 +98,7 @@ class Progress:
         return tuple(sorted(self.classes.values(), key=lambda one: (-one.count, one.first)))
 
     def after(self, record: Record, *, resumed: bool) -> Self:
-        """Return the progress after one more execution."""
+        """Return the progress after one more execution, which may be `resumed`: taken from an earlier run."""
         first, kind = record.violated[:1], record.violation_class
         marks = [*(["novel"] if record.novel else []), *first]
         marks += ["class"] if kind is not None and kind not in self.classes else []

@@ -79,7 +79,7 @@ class Store:
 
     @classmethod
     def create(cls, folder: Path, config: str) -> Self:
-        """Begin a run in an empty or new folder.
+        """Begin a run of this configuration (as YAML) in an empty or new folder.
 
         Raises:
             InputError: if the folder cannot be written, or is not empty.
@@ -213,7 +213,10 @@ class Store:
         return next((path for path in (self.folder, self.folder / DATABASE) if not path.exists()), None)
 
     def commit(self, stages: Mapping[str, float] = MappingProxyType({})) -> list[Execution]:
-        """Write the added executions to disk, each failed one also to a file of its own, and return them."""
+        """Write the added executions to disk, each failed one also to a file of its own, and return them.
+
+        `stages` has the time in each stage so far [s].
+        """
         if self.lost is not None:
             raise FileNotFoundError(f"{self.lost} was deleted or moved")
         rows = []

@@ -46,7 +46,10 @@ WAITING: Final = "Loading the driver; first-time compilation can take a minute .
 
 
 def flag(metavar: str | None, default: object) -> Any:
-    """Return the argument settings of a flag whose default is not a value of its own."""
+    """Return the argument settings of a flag whose default is not a value of its own, but is in the help text.
+
+    `metavar` is the name of the value there, None for a `Switch`; a default of None is not shown.
+    """
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "")
 
 
@@ -144,6 +147,8 @@ def described(kind: type) -> dict[str, str]:
 
 def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
     """Check that flags beside --resume do not change the configuration of what is resumed.
+
+    `given` has their values by the keys of the stored configuration, and `what` names what is resumed.
 
     Raises:
         InputError: if a value differs.

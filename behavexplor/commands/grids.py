@@ -28,7 +28,10 @@ def text(table: Table) -> str:
 
 
 def grid(*columns: str, numbers: Collection[str] = ()) -> Grid:
-    """Return an empty table without lines; the cells of the columns `numbers` are aligned to the right."""
+    """Return an empty table without lines.
+
+    The cells of the columns whose headings are in `numbers` are aligned to the right.
+    """
     made = Grid(box=None, pad_edge=False)
     for column in columns:
         made.add_column(column, justify="right" if column in numbers else "left", no_wrap=True)

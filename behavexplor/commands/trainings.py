@@ -17,7 +17,7 @@ _Config = TypeVar("_Config")
 
 
 def resumed_config(kind: type[_Config], file: Path, what: str) -> _Config:
-    """Return the configuration in the folder of a training that is resumed.
+    """Return the configuration in the folder of a training that is resumed; `what` names it in messages.
 
     Raises:
         InputError: if the folder has no such file, or the file cannot be used.

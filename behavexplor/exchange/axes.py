@@ -38,7 +38,10 @@ def mirrored_lane(lane: Lane) -> Lane:
 
 
 def shifted(pose: Floats, ahead: float) -> Floats:
-    """Return poses, shape (..., 3), in either frame, whose points are moved along their headings [m]."""
+    """Return poses that are moved along their headings by a distance [m].
+
+    A pose is x [m], y [m] and heading [rad] in either frame, shape (..., 3).
+    """
     heading = pose[..., 2]
     moved = pose[..., :2] + ahead * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return np.concatenate([moved, heading[..., None]], axis=-1)

@@ -64,7 +64,7 @@ def write_scene(
 ) -> None:
     """Write a scene as an OpenSCENARIO file; scripted vehicles get trajectories, or routes with speed profiles.
 
-    In a scene for CARLA, no vehicle may appear or leave, and there are no routes.
+    The date stands in the header. In a scene for CARLA, no vehicle may appear or leave, and there are no routes.
     """
     stop = _stop(scene, dialect)
     init, entities = xosc.Init(), xosc.Entities()

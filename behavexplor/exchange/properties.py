@@ -20,7 +20,9 @@ def waypoint_text(script: NPC) -> str:
 
 
 def read_script(name: str, kind: str, route: str, text: str) -> NPC:
-    """Return the scripted vehicle whose waypoints `waypoint_text` has written; `name` is for error messages.
+    """Return a scripted vehicle of this type, on the route of this name, with the waypoints in a `waypoint_text`.
+
+    `name`, that of the vehicle in its scene, is for error messages.
 
     Raises:
         InputError: if the text does not describe waypoints.

@@ -29,7 +29,7 @@ _SAME: Final = 0.01  # greatest deviation of a place or size that counts as the 
 
 
 def restored(scene: SceneFile, logical: LogicalScenario) -> Scenario:
-    """Return the scenario of a scene.
+    """Return the scenario of a scene, which is one of those of its environment, `logical`.
 
     The script of a vehicle counts. If its motion was changed by hand, or it has no script, one is fitted to its motion.
 

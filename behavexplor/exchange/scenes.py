@@ -109,7 +109,8 @@ def vehicle_type(scenario: Scenario, i: int) -> str:
 def movers_of(scenario: Scenario, trace: Trace, logical: LogicalScenario, *, is_ego_free: bool) -> tuple[Mover, ...]:
     """Return the vehicles of an execution.
 
-    With a free ego, the scene may take longer than the execution. So scripted vehicles go on until they park.
+    With a free ego, of which only the start is of interest, the scene may take longer than the execution. So scripted
+    vehicles go on until they park.
     """
     speed = np.hypot(trace.velocity[..., 0], trace.velocity[..., 1])
     pose = np.concatenate([trace.position, trace.heading[..., None]], axis=2)

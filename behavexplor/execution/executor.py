@@ -26,7 +26,7 @@ class Executor(ABC):
 
     @abstractmethod
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
-        """Call a function of the service.
+        """Call a function of the service with its argument, and return the future result.
 
         The exception of the future is an `ADSError` if the ADS failed, and an `InputError` if the service could not
         begin or rejected the data.

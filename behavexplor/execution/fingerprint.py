@@ -37,7 +37,10 @@ def fingerprint(ads: bytes) -> bytes:
 
 
 def machine_fingerprint(ads: Iterable[str]) -> bytes:
-    """Return the fingerprint of this machine, with all installed libraries. No ADS is loaded."""
+    """Return the fingerprint of this machine, with all installed libraries and driving systems of these names.
+
+    No ADS is loaded.
+    """
     return _fingerprint(ads, library_versions())
 
 

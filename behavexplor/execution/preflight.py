@@ -194,7 +194,8 @@ def _motionless(traces: list[Trace]) -> str | None:
 def _foreign(seen: Observation, trained_on: Observation | None) -> str | None:
     """Return a warning if the policy's last training observations lie outside the range observed here.
 
-    `seen` has shape (n, ...), `trained_on` (m, ...), with or without frames stacked along the last axis.
+    `seen` has shape (n, ...), `trained_on` (m, ...), with or without frames stacked along the last axis. None is
+    unknown.
     """
     values = _values_outside(seen, trained_on)
     share = float(np.mean(np.concatenate(values))) if values else 0.0

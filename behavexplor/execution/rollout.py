@@ -1,4 +1,7 @@
-"""Episodes: an ADS drives concrete scenarios in an environment, one after the other or many in lock-step."""
+"""Episodes: an ADS drives concrete scenarios in an environment, one after the other or many in lock-step.
+
+Before that, how an ADS is asked; at the end, how its log of decisions is kept.
+"""
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -41,8 +44,9 @@ def ask(
 ) -> tuple[NDArray[Any], Any]:
     """Call an ADS, and return its actions, shape (B, ...), and its state; every failure becomes an `ADSError`.
 
-    An observation has a row for each of B sub-environments with this action space. `start` is True where an episode
-    begins, and `counts` for each row whose action is used, shapes (B,); None if all are.
+    An observation has a row for each of B sub-environments with this action space. The state is that of the previous
+    call. `start` is True where an episode begins, and `counts` for each row whose action is used, shapes (B,); None if
+    all are.
 
     Raises:
         ADSError: if the ADS fails, or its answer is not a valid action.
@@ -195,7 +199,10 @@ class LockStep:
         return self.free < len(self._running)
 
     def begin(self, key: Any, scenario: Scenario) -> None:
-        """Add an episode, which begins with the next call of `step`. One of the sub-environments must be free."""
+        """Add an episode, which begins with the next call of `step`, and which `step` calls by its key.
+
+        One of the sub-environments must be free.
+        """
         slot = int(self._running.argmin())
         self._keys[slot], self._scenarios[slot] = key, scenario
         self._running[slot] = self._start[slot] = self._begins = True
@@ -309,7 +316,7 @@ class DecisionRecorder:
         self._append(latest)
 
     def completed(self, trace: Trace, slot: int) -> Trace:
-        """Return the trace of an episode that has ended, with its decisions, arrays of shape (D, ...).
+        """Return the trace of the episode in a slot, which has ended, with its decisions, arrays of shape (D, ...).
 
         Raises:
             InputError: if a logged number is not finite.

@@ -1,4 +1,7 @@
-"""Simulations: one ADS in one environment, which turn concrete scenarios into traces."""
+"""Simulations: one ADS in one environment, which turn concrete scenarios into traces.
+
+Also the kernels, the logical scenario and the default search method of an environment.
+"""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from numbers import Real
@@ -305,7 +308,10 @@ def brief_space(space: gymnasium.Space[Any]) -> str:
 
 
 def compile_kernels(env: str) -> None:
-    """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step."""
+    """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step.
+
+    Nothing is done for an environment of another package.
+    """
     if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
         _compile_engine(env)
         return

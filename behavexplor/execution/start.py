@@ -1,4 +1,7 @@
-"""Functions that start executors: for one target or for any service, in this process, in workers or on a cluster."""
+"""Functions that start executors: for one target or for any service, in this process, in workers or on a cluster.
+
+Also what is asked of an executor before a campaign: its logical scenario, and checks of the ADS.
+"""
 
 import json
 from collections import deque
@@ -25,12 +28,12 @@ from behavexplor.execution.simulation import logical_scenario
 def start_executor(
     target: Target, workers: int, cluster: str = "", recipe: Recipe | None = None, driver: ADS | None = None
 ) -> Executor:
-    """Start the executor for the scenarios of a target; by default, of an `Evaluator`.
+    """Start the executor for the scenarios of a target: for the service of a recipe, by default an `Evaluator`.
 
     `workers` is the greatest number of worker processes, or the number of nodes of a cluster. 0 means this process,
     without limits of time and memory, or on a cluster one node for each core. For the name of a cluster, see
-    `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine. A `driver` that
-    exists in this process only drives in place of the driving system of that name, without workers.
+    `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine. A `driver` that exists in this process
+    only drives in place of the driving system of that name, without workers.
 
     Raises:
         InputError: if the environment, the ADS or the cluster cannot be used, or if an ADS that must be confined

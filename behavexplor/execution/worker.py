@@ -50,11 +50,17 @@ def serve(
 ) -> None:
     """Answer requests until the other end of the connection is closed.
 
-    The process ignores Ctrl-C, computes in one thread, and ends when its supervisor ends. See
-    `behavexplor.execution.asking.share_asking` for `asking`. The memory limit [GiB] holds where the system supports it.
-    The folder is for temporary files. The environment variables are those of the supervisor; the process that this one
-    was forked from may have had others. The process prints into the pipe `output`, or without one, where its supervisor
-    does.
+    The process ignores Ctrl-C, computes in one thread, and ends when its supervisor ends.
+
+    Args:
+        connection: connection to the supervisor.
+        asking: see `behavexplor.execution.rollout.share_asking`.
+        recipe: recipe of the service.
+        memory_limit: memory limit of the process [GiB], where the system supports it.
+        folder: folder for temporary files.
+        environment: environment variables of the supervisor; the process that this one was forked from may have had
+            others.
+        output: pipe into which the process prints; None to print where its supervisor does.
     """
     os.environ.clear()
     os.environ.update(environment)

@@ -56,7 +56,7 @@ def near_misses(trace: Trace, verdict: Verdict, drive: Drive, reach: float) -> l
     """Return the violation of a failed execution, or the near misses of one that passed.
 
     A collision that an NPC caused teaches nothing about the ego, so it is left out. An execution in which the driving
-    system failed is left out, too. A vehicle farther away than `reach` [m] is no near miss.
+    system failed is left out, too. A vehicle farther away than `reach` [m] from the ego on its drive is no near miss.
     """
     if not verdict.failed:
         return [
@@ -331,7 +331,7 @@ class Encounters:
 
 
 def tuned(npc: NPC, logical: ScriptedLogicalScenario, rng: np.random.Generator) -> NPC:
-    """Return a vehicle with changed speeds, or with some changed waypoints, regardless of other vehicles.
+    """Return a vehicle with changed speeds, or with some changed waypoints, valid in `logical` but for other vehicles.
 
     The size of the change is drawn over one and a half orders of magnitude, since some niches need a coarse change and
     others a fine one.

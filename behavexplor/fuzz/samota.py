@@ -2,7 +2,7 @@
 
 Source: Haq et al., "Efficient Online Testing for DNN-Enabled Systems using Surrogate-Assisted and Many-Objective
 Optimization", ICSE 2022. Docstrings and comments that begin with "SAMOTA" name the step of the publication that the
-code follows.
+code follows. In this order: the surrogate models, who survives, and the search.
 """
 
 from collections import deque
@@ -83,7 +83,7 @@ def _products(points: Floats, others: Floats) -> tuple[Floats, Floats]:
 def fit_ensemble(points: Floats, values: Floats, rng: np.random.Generator) -> Ensemble:
     """Fit a quadratic polynomial, an RBF regressor and a Gaussian process, weighted by their errors on held-out rows.
 
-    The points have the shape (n, features), n >= 2, and the objectives there (n, k).
+    The points have the shape (n, features), n >= 2, and the objectives there (n, k). `rng` draws the held-out rows.
     """
     n = len(points)
     weights = np.full((len(KERNELS), values.shape[1]), 1 / len(KERNELS))
@@ -127,7 +127,10 @@ def _coefficients(kernel: Kernel, length: float, points: Floats, values: Floats)
 
 
 def survivors(values: Floats, count: int) -> Ints:
-    """Return the indices of the `count` fittest of n individuals, the fittest first; objectives have shape (n, k)."""
+    """Return the indices of the `count` fittest of n individuals, the fittest first, shape (count,).
+
+    The objectives have the shape (n, k), and `count` is at most n.
+    """
     ranks = preference_ranks(values)
     crowding = np.zeros(len(values))
     for rank in range(ranks.max() + 1):
@@ -349,7 +352,10 @@ class SAMOTA:
         low: Floats | float = 0.0,
         high: Floats | float = 1.0,
     ) -> Floats:
-        """Breed points, shape (count, n), of parents, the fittest first, shape (p, n). Bounds have shape (n,)."""
+        """Breed points, shape (count, n), of parents, the fittest first, shape (p, n).
+
+        The bounds of the genes are numbers, or have the shape (n,).
+        """
         bred = self._crossed_npcs if self._options.crossover == "npcs" else self._crossed_at_a_point
         children = bred(parents, count, rng)
         probability = self._options.mutation_probability or 1 / children.shape[1]

@@ -42,10 +42,9 @@ class Asker:
         return rng.random((count, self.encoding.size))
 
     def farthest(self, rng: np.random.Generator, samples: int, count: int) -> Floats:
-        """Draw uniform points, and return those farthest from all earlier candidates.
+        """Draw `samples` uniform points, and return the `count` of them farthest from all earlier candidates.
 
-        Returns:
-            Points, the farthest one first, shape (count, n).
+        The farthest one is first, shape (count, n).
         """
         vectors = self.uniform(rng, samples)
         if not self._vectors:

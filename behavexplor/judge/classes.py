@@ -155,7 +155,7 @@ def _vehicle(conflict: str, size: str) -> str:
 def violation_class(trace: Trace, violated: Sequence[str]) -> ViolationClass | None:
     """Return the class of the first violated spec, R1 before R2 before R3 before the specs of a user; None if none is.
 
-    The decision log of the trace is not used.
+    For the names of specs, see `behavexplor.judge.specs.Verdict`. The decision log of the trace is not used.
     """
     event = violation_event(trace, violated)
     return None if event is None else event_class(trace, event)
@@ -164,8 +164,8 @@ def violation_class(trace: Trace, violated: Sequence[str]) -> ViolationClass | N
 def event_class(trace: Trace, event: ViolationEvent, end: str | None = None) -> ViolationClass:
     """Return the class of a violation event, or the class that a violation would have had at a near miss.
 
-    The decision log of the trace is not used. A violation of R3 would have had the kind of end `end`, or that of the
-    trace.
+    The decision log of the trace is not used. A violation of R3 would have had the kind of end `end`; None for that of
+    the trace.
     """
     if event.spec == R1:
         return _collision(trace, event)

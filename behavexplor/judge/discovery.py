@@ -87,7 +87,10 @@ class Discovery:
 
 
 def _chao1(found: int, once: int, twice: int, executions: int) -> tuple[float, float, float]:
-    """Return the bias-corrected Chao1 estimate of the unseen classes, and its 95 % interval."""
+    """Return the bias-corrected Chao1 estimate of the unseen classes, and its 95 % interval.
+
+    `found` classes have been seen, some of them `once` or `twice`.
+    """
     if not executions or not once:
         return 0.0, 0.0, 0.0
     share = (executions - 1) / executions

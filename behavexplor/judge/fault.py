@@ -30,7 +30,7 @@ _ENDED_BY_COLLISION: Final = frozenset({Collision().name, Destination().name})
 
 
 def is_at_fault(fault: str | None) -> bool:
-    """Return whether the driving system is at fault for a failure, by the verdict on its collision, if it is one.
+    """Return whether the driving system is at fault for a failure, by the verdict on its collision; None for others.
 
     It is, unless the failure is a collision that an NPC caused, or one that triage found no way to avoid. A touched
     line, a missed destination and an error are always its own fault.

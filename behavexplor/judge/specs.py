@@ -2,7 +2,7 @@
 
 Source: paper section 2.3 (R1, R2, R3) and 3.2.2 (violation degree O). Traces are judged outside the search methods,
 so that every method is scored by the same code. An episode in which the ego arrives is judged up to the moment of its
-arrival (`behavexplor.judge.specs`).
+arrival (`poses_until_arrival`).
 
 In a highway-env environment, a violation is what the environment itself says, as the signals of a trace. There a crash
 pushes the vehicles apart, so that their boxes do not tell it. Lines may be crossed, and not every environment has a

@@ -110,7 +110,7 @@ class Suite:
     cases: tuple[Case, ...] = ()  # the cases in the order of their names
 
     def target(self, ads: str, **settings: Any) -> CheckedTarget:
-        """Return the target that drives the cases with a driver."""
+        """Return the target that drives the cases with a driver; the settings are further fields of the target."""
         config = dict(self.env_config)
         if self.cases:
             config |= min(self.cases, key=lambda case: case.name).load_scenario().scene_config
@@ -223,7 +223,7 @@ def _yaml(values: Mapping[str, Any]) -> str:
 def candidates(records: Iterable[Record], known: Mapping[int, Finding]) -> dict[str, list[int]]:
     """Return the numbers of the failures for which the driver was at fault, by class, in order.
 
-    Findings of triage replace the faults in the records.
+    Findings of triage, by the numbers of the executions, replace the faults in the records.
     """
     found: dict[str, list[int]] = {}
     for record in records:

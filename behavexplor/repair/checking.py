@@ -83,7 +83,9 @@ def _check_names(suite: Suite, known: Sequence[str]) -> None:
 def opened_driver(
     suite: Suite, ads: str | None, workers: int = 1, trust: Sequence[str] = (), **settings: Any
 ) -> Iterator[Checker]:
-    """Load a driver, and return what drives the cases of a suite with it.
+    """Load a driver, and return what drives the cases of a suite with it. With 0 `workers`, this process does.
+
+    The settings are further fields of the `behavexplor.data.target.Target`.
 
     Raises:
         InputError: if the suite names code that the user has not agreed to, the driver cannot be loaded or does not fit

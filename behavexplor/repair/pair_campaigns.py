@@ -67,8 +67,9 @@ def search_differences(
 ) -> list[Difference]:
     """Search for scenarios in which one driver fails and the other does not.
 
-    The method learns from the traces of the first driver. The differences come in the order in which it proposed them,
-    and do not depend on the executors.
+    The method learns from the traces of the first driver, in whose environment it searches. The differences come in the
+    order in which it proposed them, and do not depend on the executors. `budget` scenarios are executed with both
+    drivers, `batch` are in flight, and `observe` gets the number of those that are done.
 
     Raises:
         RuntimeError: if a scenario could not be executed.
@@ -140,6 +141,8 @@ def looks(n: int, margin: float | None) -> Iterator[int]:
 def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe, *, resume: bool = False) -> list[str]:
     """Run one of the two campaigns, or go on with it, and return warnings about the driver.
 
+    0 `workers` use this process. `observe` gets the number of executions so far.
+
     Raises:
         InputError: if the driver, the environment or the folder cannot be used.
         ExecutionError: if an execution could not be carried out.
@@ -155,7 +158,7 @@ def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe,
 
 
 def second_config(first: CampaignConfig, ads: str, folder: Path) -> CampaignConfig:
-    """Return the configuration of the second driver, in the scene of the first one's run."""
+    """Return the configuration of the second driver, in the scene of the first one's run, which is in `folder`."""
     with closing(Store.read(folder)) as store:
         scenario = store.execution(0).scenario
     config = replace(first, ads=ads)
@@ -184,7 +187,9 @@ def check_search(config: CampaignConfig) -> None:
 def differences(
     first: CampaignConfig, second: CampaignConfig, folder: Path, workers: int, observe: Observe
 ) -> list[Difference]:
-    """Search for differences, and write their scenarios to the file `DIFFERENCES`.
+    """Search for differences by the method of `first`, and write their scenarios to the file `DIFFERENCES` in `folder`.
+
+    Each driver has so many workers; 0 use this process. `observe` gets the number of executed scenarios.
 
     Raises:
         InputError: if a driver or the search method cannot be used.

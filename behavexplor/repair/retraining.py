@@ -161,7 +161,7 @@ def search_config(target: Target, method: str, budget: int, seed: int) -> Campai
 
 
 def found_failures(target: Target, method: str, budget: int, seed: int, folder: Path) -> tuple[list[Any], int]:
-    """Run a campaign on a policy, or read it if its folder has it.
+    """Run a campaign of `budget` executions on a policy, or read it if its folder has it.
 
     Return the scenarios of the failures for which the policy was at fault, without collisions that no tried evasion
     avoids; and the number of decisions of the whole campaign.

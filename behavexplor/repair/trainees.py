@@ -48,7 +48,9 @@ class Trainee:
     scenarios: ScenarioVecEnv  # the environment that draws the scenarios
 
     def learn(self, seed: int, number: int, steps: int, rate: float, watch: BaseCallback) -> None:
-        """Train for one round. In the first round, a new critic learns alone before the policy does, for as many steps.
+        """Train for one round of `steps` decisions at a learning rate.
+
+        In the first round, a new critic learns alone before the policy does, for as many decisions.
 
         Raises:
             DivergedError: if the network has weights that are not finite numbers afterwards.

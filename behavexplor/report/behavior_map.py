@@ -49,7 +49,7 @@ class Behaviors:
 
 
 def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
-    """Abstract all traces with clusters fitted to these traces."""
+    """Abstract all traces, at least one, with clusters fitted to them; they are given by the numbers of executions."""
     miner = BehaviorMiner(MinerOptions(clusters=len(LETTERS)))
     described = [miner.describe(trace) for trace in traces.values()]
     for behavior in described:

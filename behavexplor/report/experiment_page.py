@@ -45,7 +45,7 @@ class Bars:
 def experiment_page(
     experiment: Experiment, summaries: Sequence[Summary], tables: Sequence[Table], curves: Sequence[Curve]
 ) -> str:
-    """Return the page in ASCII. Equal experiments give equal pages."""
+    """Return the page in ASCII, with the `tables` and `curves` of the campaigns. Equal experiments give equal pages."""
     return rendered(
         "experiment.html.jinja",
         ("theme.js",),

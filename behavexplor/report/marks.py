@@ -1,4 +1,4 @@
-"""What replays and pictures say of a trace: its outcome, the driver's decisions, and the place of a violation."""
+"""What replays and pictures say of a trace: its outcome, decisions, the place of a violation, and colors."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -63,7 +63,7 @@ def _into_box(point: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
 
 
 def outcome(violated: Sequence[str], end: str) -> str:
-    """Describe the outcome of an execution, to follow its number."""
+    """Describe the outcome of an execution, to follow its number, by the violated specs and the kind of its end."""
     verdict = f"failed ({' and '.join(violated)})" if violated else "passed"
     return f"{verdict}, ended by {_ENDED_BY[end]}"
 

@@ -17,7 +17,7 @@ _LIBRARIES: Final = ("gymnasium", "highway-env", "numpy", "scikit-learn")
 def rendered(template: str, scripts: Sequence[str], **values: object) -> str:
     """Render a page in ASCII. All values are escaped, so none is interpreted as HTML.
 
-    The scripts run at the end of the page, in their order.
+    Template and scripts are files of this package. The scripts run at the end of the page, in their order.
     """
     style, script = source("page.css"), "".join(map(source, scripts))
     text = filled(

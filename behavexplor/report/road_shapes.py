@@ -54,7 +54,10 @@ def line_kinds(shape: RoadShape | None, trace: Trace) -> tuple[str, ...]:
 
 
 def road_values(shape: RoadShape | None, trace: Trace) -> dict[str, Any]:
-    """Return the road as JSON values, with lengths in meters."""
+    """Return the road as JSON values, with lengths in meters. For None, they are only the lines and route of a trace.
+
+    All executions have the same illegal lines, so any trace will do.
+    """
     low, high = trace.position[:, 0].min(0) - _MARGIN, trace.position[:, 0].max(0) + _MARGIN
     kinds = line_kinds(shape, trace)
     lines = [{"kind": kind, "ends": _points(line)} for kind, line in zip(kinds, trace.illegal_lines, strict=True)]

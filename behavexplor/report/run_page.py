@@ -137,7 +137,9 @@ def _value_text(value: Any) -> str:
 
 
 def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first: Sequence[int] = ()) -> Section:
-    """Return the section about a run, with the replays of the executions that are wanted first.
+    """Return the section about a run, with the replays of the executions that are wanted first, and up to `limit` more.
+
+    The number of the run in the page counts from 1; `label` names it in charts.
 
     Raises:
         InputError: if the run is damaged.

@@ -40,7 +40,7 @@ class ContractError(AssertionError):
 
 
 def promise(kept: object, sentence: str) -> None:
-    """Raise a `ContractError` with a sentence unless a promise is kept."""
+    """Raise a `ContractError` unless a promise is kept: with what is wrong and what the interface asks for."""
     if not kept:
         raise ContractError(sentence)
 

@@ -14,7 +14,7 @@ RATE = 20  # frames per second
 
 
 def synthetic_trace(scenario: Any, logical: LogicalScenario) -> Trace:
-    """Return the trace of an ego that follows its route and never looks.
+    """Return the trace of an ego that follows its route in a scenario of `logical` and never looks.
 
     Its speed is drawn from the text of the scenario, so that equal scenarios have equal traces. The NPCs follow their
     routes through their waypoints.

@@ -81,7 +81,7 @@ class Examiner(FailureEvaluator):
         self.functions = {**self.functions, EXAMINE: self.examine}
 
     def examine(self, request: bytes) -> bytes:
-        """Examine a failure; return the finding, and the witness if there is one, as JSON."""
+        """Examine a failure, encoded by `examination`; return the finding, and the witness if there is one, as JSON."""
         head, record, trace = request.split(b"\n", 2)
         found = Record.from_json(record), Trace.from_bytes(trace)
         finding, witness = examined(self.simulation, *found, seed=int(head), specs=load_specs(self.specs))
@@ -90,7 +90,7 @@ class Examiner(FailureEvaluator):
 
 
 def examination(record: Record, trace: bytes, seed: int) -> bytes:
-    """Return the request for `Examiner.examine` about a stored execution."""
+    """Return the request for `Examiner.examine` about a stored execution in a campaign of this seed."""
     return b"%d\n%b\n%b" % (seed, record.to_json().encode(), trace)
 
 
@@ -99,7 +99,7 @@ def examined(
 ) -> tuple[Finding, Witness | OtherDriver | None]:
     """Examine a failure: execute its scenario again, and find out whose fault it was and what caused it.
 
-    The simulation must have the ADS and the environment of the recorded execution.
+    The simulation must have the ADS and the environment of the recorded execution; seed and specs are the campaign's.
 
     Returns:
         The finding, and a witness if the failure is a collision that the ego could have avoided.

@@ -368,7 +368,7 @@ def known_minimized(folder: Path, findings: Mapping[int, Finding]) -> dict[int, 
     """Return the minimized failures of a run that need not be minimized again, by the numbers of their executions.
 
     Left out are those whose trace is missing, and those that were minimized before triage found another fault or cause,
-    which they may have lost.
+    which they may have lost. There are no findings before triage.
     """
     return {
         number: one

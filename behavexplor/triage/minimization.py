@@ -173,7 +173,10 @@ class Minimizer(FailureEvaluator):
 
 
 def minimization(record: Record, trace: bytes, seed: int, known: Finding | None) -> bytes:
-    """Return the request for `Minimizer.minimize` about a stored execution."""
+    """Return the request for `Minimizer.minimize` about a stored execution in a campaign of this seed.
+
+    `known` is the finding of triage about it; None without triage.
+    """
     values = {"record": record.to_dict(), "seed": seed, "finding": None if known is None else asdict(known)}
     return json.dumps(values).encode() + b"\n" + trace
 
@@ -183,7 +186,8 @@ def minimized(
 ) -> tuple[Minimized, Trace]:
     """Minimize a failure, and return it with the trace of its scenario.
 
-    Its class stays the same, and its fault and cause as far as they are known.
+    Its class stays the same, and its fault and cause as far as they are `known` by triage; None without triage. The
+    driver is that of the execution; seed and specs are the campaign's.
     """
     logical, scenario = driven.simulation.logical, record.load_scenario()
     parts, removable = logical.parts(scenario), logical.removable
@@ -228,7 +232,7 @@ def left_as_found(
 
 
 def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = False) -> list[int]:
-    """Return the failures to minimize, in order: those of the numbers, the first of each class, or all.
+    """Return the failures to minimize, in order: those of the numbers, or else the first of each class, or `every` one.
 
     Raises:
         InputError: if an execution has no failure.
@@ -268,7 +272,8 @@ class RunMinimization:
         afresh: bool = False,
         driver: ADS | None = None,
     ) -> None:
-        self._config, self._workers, self._driver = config, workers, driver
+        self._config = config
+        self._workers, self._driver = workers, driver
         self._store = Store.read(run)
         self._chosen = chosen_failures(self._store, numbers, every=every)
         self._findings = known_findings(run)
@@ -311,7 +316,7 @@ class RunMinimization:
             ended = {number for number in self.waiting if _ends_process(store.execution(number).record)}
             tried = (number for number in self.waiting if number not in ended)
             calls = (_call(store.execution(number), self._config.seed, self._findings.get(number)) for number in tried)
-            futures = in_order(executor, calls, AHEAD * self._workers)
+            futures = in_order(executor, calls, AHEAD * workers)
             for number in self.waiting:
                 future = None if number in ended else next(futures)
                 while future is not None and not wait([future], PATIENCE).done:

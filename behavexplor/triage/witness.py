@@ -238,7 +238,7 @@ def _spaced(points: Floats) -> Floats:
 def find_witness(
     simulation: Simulation, scenario: Scenario, trace: Trace, event: ViolationEvent, rng: np.random.Generator
 ) -> tuple[Witness | None, int]:
-    """Search for a witness: first by models of drivers, the mildest first, then by random evasions.
+    """Search for a witness of a collision: by models of drivers, the mildest first, then by random evasions.
 
     Return the witness, or None if no evasion avoids the collision; and the number of evasions that were tried, 0 if the
     environment cannot run in lock-step. The ADS of the simulation is not used.
