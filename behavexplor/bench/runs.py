@@ -230,7 +230,8 @@ class ExperimentRunner:
     """
 
     def __init__(self, runs: Sequence[PlannedRun], root: Path, jobs: int, workers: int, cluster: str = "") -> None:
-        self._root, self._jobs, self._workers, self._cluster = root, jobs, workers, cluster
+        self._root = root
+        self._jobs, self._workers, self._cluster = jobs, workers, cluster
         states = {run: run_state(run, root) for run in runs}
         self._ads = tuple(dict.fromkeys(run.ads for run in runs))
         self._waiting = deque(run for run in runs if not states[run].finished)

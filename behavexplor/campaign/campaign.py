@@ -129,7 +129,8 @@ class Campaign:
         try:
             while not self.stopping:
                 if self._has_enough():
-                    return f"Stopped after {self._failures} failure{'s' * (self._failures > 1)}, as asked for"
+                    failures = "failure" if self._failures == 1 else "failures"
+                    return f"Stopped after {self._failures} {failures}, as asked for"
                 ended = self._ask_all()
                 if not self._pending:
                     break

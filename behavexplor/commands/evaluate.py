@@ -204,16 +204,16 @@ def _evaluated(target: Target, run: _Run, *, beside: bool = False) -> tuple[Logi
 
     Warnings about a driver that is shown beside the policy, or about a constant one, are left out.
     """
-    say = partial(_say, quiet=run.quiet)
+    say_unless_quiet = partial(_say, quiet=run.quiet)
     with ExitStack() as stack:
-        with patience(say):
+        with patience(say_unless_quiet):
             executor = start_judge(target, run.workers)
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor)
             logical = logical_of_target(executor, target.env)
         gc.freeze()  # modules live as long as the process: garbage collections need not look at them
         for warning in warnings if not (beside or target.ads.startswith(_CONSTANT)) else ():
-            say(f"Warning: {warning}")
+            say_unless_quiet(f"Warning: {warning}")
         with Meter(sys.stderr, run.scenarios, "scenarios", quiet=run.quiet) as meter:
             file = None if run.folder is None else run.folder.file
             found = estimate_rates(executor, logical, run.scenarios, run.seed, meter.show, goal=run.goal, file=file)

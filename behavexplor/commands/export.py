@@ -17,7 +17,7 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK
 from behavexplor.commands.flags import NewFolder, RunFolder, Trust
 from behavexplor.commands.roads import check_libraries, road_of
-from behavexplor.commands.wording import say, wrapped
+from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.durable import folder_in
 from behavexplor.data.road_shape import RoadPlan
@@ -77,7 +77,7 @@ def export(
         raise InputError(f"The folder {out} cannot be written: {error.strerror}") from None
     finally:
         store.close()
-    say(f"{len(chosen)} execution{'s' * (len(chosen) != 1)} written to {out}")
+    say(f"{counted(len(chosen), 'execution')} written to {out}")
     if scenes.motionless:
         say(wrapped(f"{scenes.motionless} of these {_AT_ONCE}"))
     return OK

@@ -128,11 +128,11 @@ class Checks:
     def outcome(self, found: RunSummary) -> tuple[bool, str]:
         """Return whether a run passes, and a sentence on it; an empty one if nothing is checked."""
         new = self.new_classes(found)
-        counted = found.failed - sum(one.count for one in found.classes if one.id in self.known)
-        share = counted / max(found.executions, 1)
+        failed = found.failed - sum(one.count for one in found.classes if one.id in self.known)
+        share = failed / max(found.executions, 1)
         kind = " that are not known" if self.known else ""
-        what = f"{counted} of {found.executions} executions ({share:.1%}) failed, in {class_count(len(new))}{kind}"
-        has_failed = self.fail_on_violation and counted > 0
+        what = f"{failed} of {found.executions} executions ({share:.1%}) failed, in {class_count(len(new))}{kind}"
+        has_failed = self.fail_on_violation and failed > 0
         if self.fail_above is not None:
             has_failed |= share > self.fail_above
             what += f"; {'more' if share > self.fail_above else 'not more'} than {self.fail_above:.1%}"

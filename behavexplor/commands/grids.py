@@ -20,7 +20,7 @@ def text(table: Table) -> str:
         lines.add_column(table.columns[i].name, justify="left" if is_text else "right", no_wrap=True)
     ends = {sum(table.blocks[: i + 1]) for i in range(len(table.blocks) - 1)}
     for number, row in enumerate(table.rows, 1):
-        cells = [f"{shown(row[i], table.columns[i])}{'*' * ((number - 1, i) in best)}" for i in columns]
+        cells = [f"{shown(row[i], table.columns[i])}{'*' if (number - 1, i) in best else ''}" for i in columns]
         lines.add_row(*cells, end_section=number in ends)
         if number in ends:
             lines.add_row()

@@ -196,10 +196,10 @@ def differences(
         RuntimeError: if a scenario could not be executed.
     """
     budget = Budget.parse(first.budget).executions or 0
-    with _loaded(first.target, workers) as one, _loaded(second.target, workers) as other:
-        method, specs = search_method(first, one.logical), load_specs(first.specs)
-        found = search_differences(method, one, other, specs, budget=budget, batch=first.batch, observe=observe)
-    lines = [json.dumps(difference.scenario.to_dict(), separators=(",", ":")) for difference in found]
+    with _loaded(first.target, workers) as ours, _loaded(second.target, workers) as theirs:
+        method, specs = search_method(first, ours.logical), load_specs(first.specs)
+        found = search_differences(method, ours, theirs, specs, budget=budget, batch=first.batch, observe=observe)
+    lines = [json.dumps(one.scenario.to_dict(), separators=(",", ":")) for one in found]
     write_durably(folder_in(folder.parent, folder.name) / DIFFERENCES, "".join(f"{line}\n" for line in lines))
     return found
 
