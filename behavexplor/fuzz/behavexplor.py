@@ -221,9 +221,9 @@ class BehAVExplorOptions:
     mutation: Literal["energy", "random"] = "energy"  # how its mutation is chosen; "random" is the paper's w/o Energy
     waypoint_share: Annotated[float, between(0, 1)] = 0.5  # probability of waypoint mutation, if chosen at random
     waypoint_energy: float = 0.5  # theta_e: testcases with more get a waypoint mutation, others a route mutation
-    # epsilon of waypoint and of route mutation, the probability that an NPC stays unchanged
+    # epsilon of waypoint mutation, the probability that an NPC stays unchanged
     waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
-    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
+    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon of route mutation
     point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # the same of an NPC's waypoint
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
     sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0  # standard deviation of waypoint mutation [m/s]
