@@ -155,7 +155,10 @@ class Judge(Evaluator):
 
 
 def start_judge(target: Target, workers: int, driver: ADS | None = None) -> Executor:
-    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`."""
+    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`.
+
+    `driver` is an object of this process that drives in place of the target's driving system, None for none.
+    """
     return start_executor(target, workers, recipe=recipe_for(Judge, target), driver=driver)
 
 
@@ -171,9 +174,9 @@ def estimate_rates(
 ) -> Evaluation:
     """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the number of workers.
 
-    The executor is that of `start_judge`. With a goal, the evaluation ends as soon as what is to be known is, at the
-    latest after n scenarios. `observe` gets the number of finished ones. With a file, the evaluation goes on from it
-    and is written to it.
+    The executor is that of `start_judge`; the scenarios are n random ones by the seed. With a goal, the evaluation ends
+    as soon as what is to be known is, at the latest after n scenarios. `observe` gets the number of finished ones. With
+    a file, the evaluation goes on from it and is written to it.
 
     Raises:
         InputError: if the file is damaged.

@@ -66,7 +66,11 @@ class ScriptedEncoding:
         return ROUTE if rng.random() < 0.5 else int(rng.choice(self.speed_genes))
 
     def decode(self, vector: Floats) -> ScriptedScenario:
-        """Decode genes, shape (n,), to a valid scenario. Values beyond [0, 1] are clipped."""
+        """Decode genes, shape (n,), to a valid scenario. Values beyond [0, 1] are clipped.
+
+        Raises:
+            InputError: if they have a wrong shape or are not finite, or there is no place for all vehicles.
+        """
         vector = np.asarray(vector, dtype=np.float64)
         if vector.shape != (self.size,) or not np.isfinite(vector).all():
             raise InputError(f"vector: expected {self.size} finite numbers, got shape {vector.shape}")
@@ -79,6 +83,9 @@ class ScriptedEncoding:
         """Encode a valid scenario with an NPC for each block as genes, shape (n,). `decode` restores six decimals.
 
         The genes of type and route are the middles of their parts of [0, 1].
+
+        Raises:
+            InputError: if the scenario has more or fewer NPCs.
         """
         if len(scenario.npcs) != self.n_blocks:
             raise InputError(f"npcs: expected {self.n_blocks}, got {len(scenario.npcs)}")
@@ -87,7 +94,8 @@ class ScriptedEncoding:
     def features(self, vectors: Floats) -> Floats:
         """Convert vectors of genes, shape (k, n), to features for distances and regression, shape (k, features).
 
-        Types and routes are one-hot: any two different types, or routes, are at distance 1.
+        Types and routes are one-hot: any two different types, or routes, are at distance 1. So there are n_blocks *
+        (types + routes + n_genes - 2) features.
         """
         blocks = vectors.reshape(len(vectors), self.n_blocks, self.n_genes)
         parts = [
@@ -260,7 +268,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
         return mutated(scenario, self, rng, keep_probability, lambda _: self.sample_npc(rng))
 
     def first_frame(self, scenario: ScriptedScenario, end: str) -> Trace:
-        """Return the trace of an episode that ended before any vehicle moved."""
+        """Return the trace of an episode that ended, in one of `ENDS`, before any vehicle moved."""
         roadmap = self.roadmap
         poses = np.stack([roadmap.start_pose, *map(self.start_pose_of, scenario.npcs)])
         speeds = np.array([0.0, *(npc.waypoints[0].speed for npc in scenario.npcs)])

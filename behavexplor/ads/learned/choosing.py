@@ -46,7 +46,11 @@ def begin(course: Course, scene: Floats, memory: Floats) -> None:
 
 @kernel_inner
 def track(course: Course, scene: Floats, wanted: float, choice: int, memory: Floats) -> tuple[float, float]:
-    """Return acceleration [m/s2] and steering angle [rad] for a decision; `memory` is changed in place."""
+    """Return acceleration [m/s2] and steering angle [rad] for a decision.
+
+    It is the `wanted` acceleration [m/s2] and a lane choice. The scene has the shape (1 + n, 8), see
+    `behavexplor.data.scene`, and the ego's memory, shape (N_MEMORIES,), is changed in place.
+    """
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     row = row_at(course.path, station)
     _choose_lane(course, row, offset, choice, memory)
@@ -100,6 +104,9 @@ def choose(preferences: Floats, accelerations: Floats, how: int, share: float) -
 
     By `MEAN`, it is the mean acceleration and the most probable lane choice; by `MOST_PROBABLE`, the first most
     probable action; by `DRAWN`, the one at `share` of the cumulative probabilities, in [0, 1).
+
+    `preferences` are the outputs of the network, shape (N_ACTIONS,), and `accelerations` those of the actions of one
+    lane choice, shape (N_ACTIONS / N_LANE_CHOICES,) [m/s2].
     """
     if how == MEAN:
         return _average(preferences, accelerations)

@@ -41,7 +41,11 @@ class Path(NamedTuple):
 def ego_path(
     roadmap: RoadMap, lateral_acceleration: float = LATERAL_ACCELERATION, approach_braking: float = APPROACH_BRAKING
 ) -> Path:
-    """Make the ego's path, whose limits of speed keep lateral acceleration and braking before curves [m/s2]."""
+    """Make the ego's path from its route and the lanes beside it.
+
+    Its limits of speed are such that the lateral acceleration in curves, and the braking before them, are at most the
+    given ones [m/s2].
+    """
     route = roadmap.ego_route
     inside = [i for i, lane in enumerate(route.lanes) if lane.junction]
     lanes = _joined(route.lanes)

@@ -233,7 +233,10 @@ class RulePlanner:
         episode_start: Bools | None = None,
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Floats]:
-        """Decide for a batch of egos.
+        """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
+
+        Scenes have the shape (B, 1 + n, 8), see `behavexplor.data.scene`, and the state (B, N_MEMORIES). Actions,
+        acceleration and steering, are in [-1, 1], shape (B, 2). The planner is always deterministic.
 
         Raises:
             InputError: if an array has the wrong shape.

@@ -97,7 +97,8 @@ def _on_path(path: Path, profile: LateralProfile, x: float, y: float, straight: 
 def beside_route(path: Path, lanes: Floats, near: Bools) -> Floats:
     """Compute where each meter of each lane is on the ego's route, (lanes, meters, 3): `LEAST`, `GREATEST`, `SKEW`.
 
-    The last lane can be anywhere. Lanes that are not `near` cannot be in the ego's way; offsets are infinite there.
+    The last lane can be anywhere. Lanes that are not `near`, shape (lanes,), cannot be in the ego's way; offsets are
+    infinite there.
     """
     table = np.empty((len(lanes), int(lanes[:, LENGTH].max()) + BEYOND, 3))
     _fill(path, lanes, table)
@@ -132,7 +133,10 @@ def _offset(path: Path, lanes: Floats, lane: int, station: float) -> tuple[float
 
 @kernel_inner
 def is_beside(place: Floats, profile: LateralProfile, length: float, width: float, strip: float) -> bool:
-    """Return whether a vehicle at a place of `beside_route`, shape (3,), is surely beside the strip along the path."""
+    """Return whether a vehicle at a place of `beside_route`, shape (3,), is surely beside the strip along the path.
+
+    Length and width are those of the vehicle [m], and `strip` is half the width of the strip [m].
+    """
     reach = strip + (length * place[SKEW] + width) / 2 + (SLACK if profile.length > 0.0 else 0.0)
     away = max(place[LEAST] - max(profile.first, profile.last), min(profile.first, profile.last) - place[GREATEST])
     return bool(away > reach and (length + width) / 2 < AROUND)
@@ -193,8 +197,8 @@ def find_tails(
 ) -> tuple[int, int]:
     """Find every way on of a vehicle: all branches at a junction, straight on for a vehicle that is on no lane.
 
-    The spare lane of the graph is overwritten. `tails` and the vehicle's `stations` along them [m] are filled, shape
-    (most,).
+    The vehicle's center is at x and y [m]. The spare lane of the graph is overwritten. `tails` and the vehicle's
+    `stations` along them [m] are filled, shape (most,).
 
     Returns:
         The number of ways found, at least 1, and the number of overlooked ones among them (weakness R1-8). The

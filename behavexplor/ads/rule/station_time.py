@@ -150,7 +150,10 @@ def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> i
 
 @kernel_inner
 def false_motion(true: Motion, weak: int, p: Numbers) -> Motion:
-    """Return an NPC's motion as a planner with weaknesses predicts it; `weak` has the bits of those with open gates."""
+    """Return an NPC's motion as a planner with weaknesses predicts it; a careful one predicts the `true` motion.
+
+    `weak` has the bits of the weaknesses with open gates.
+    """
     if weak == 0:
         return true
     speed, acceleration, memory = true.speed, true.acceleration, true.memory
@@ -216,8 +219,8 @@ def project_obstacles(
 ) -> None:
     """Fill the station-time graph with every NPC's predicted motion along every way it has.
 
-    `blind` is the distance ahead of the ego below which the centers of vehicles in the target lane are ignored [m]. The
-    room's bits are added to.
+    `blind` is the distance ahead of the ego below which the centers of vehicles in the target lane are ignored [m],
+    minus infinity for none. The room's bits are added to. For the rest, see `Projection`.
     """
     room.counts[:] = 0
     room.reaches[:, 0], room.reaches[:, 1] = math.inf, -math.inf

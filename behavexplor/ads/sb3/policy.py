@@ -311,7 +311,10 @@ def _newest(moments: Moments, key: str, stack: Stacking) -> Moments:
 def _stacked(
     newest: Any, before: Any, episode_start: Bools | None, stack: Stacking, space: gymnasium.Space[Any]
 ) -> Any:
-    """Stack the last frames, with the newest at the end."""
+    """Stack the last frames, with the newest at the end, on those stacked `before`, None at first.
+
+    In a row that begins an episode, and at first, what stands for earlier frames is said in `Stacking.axis`.
+    """
     if isinstance(space, gymnasium.spaces.Dict):
         past = before or dict.fromkeys(space)
         return {key: _stacked(newest[key], past[key], episode_start, stack, part) for key, part in space.items()}
