@@ -18,6 +18,8 @@ from behavexplor.jit import kernel_inner
 SPACING: Final = 1.0  # distance between the stations of the tables of limits and neighboring lanes [m]
 LATERAL_ACCELERATION: Final = 2.5  # greatest lateral acceleration in curves [m/s2]
 APPROACH_BRAKING: Final = 2.0  # deceleration before curves [m/s2]
+LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
+LOOK_AHEAD_TIME: Final = 0.3  # growth of that distance with speed [s]
 
 
 class Path(NamedTuple):
@@ -201,10 +203,6 @@ def point_beside(path: Path, station: float, offset: float) -> tuple[float, floa
     """Return the point at a station and an offset."""
     x, y, heading = pose_on_path(path, station)
     return x - offset * math.sin(heading), y + offset * math.cos(heading)
-
-
-LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
-LOOK_AHEAD_TIME: Final = 0.3  # growth of that distance with speed [s]
 
 
 @kernel_inner

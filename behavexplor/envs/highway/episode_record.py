@@ -226,12 +226,12 @@ class EpisodeRecord:
             self._arrivals.append((len(self.frames) - 1, arrived))
 
     def trace(self, network: RoadNetwork, *, terminated: bool) -> Trace:
-        """Return the trace of the episode, which ends with the frame in which the ego crashes, if it does."""
+        """Return the trace of the episode, which ends with the frame in which the ego crashes, if it does.
+
+        `terminated` says that the environment ended it, not that its time ran out.
+        """
         things = [frame.things for frame in self.frames]
-        ego = int(things[0]["number"][self.frames[0].ego])
-        numbers = np.array([ego, *(number for number in self.sizes if number != ego)])
-        column = np.zeros(numbers.max() + 1, dtype=np.intp)
-        column[numbers] = np.arange(len(numbers))
+        numbers, column = self._columns()
         frame = np.repeat(np.arange(len(things)), [len(seen) for seen in things])
         every = np.frombuffer(b"".join(seen.tobytes() for seen in things), THING)  # many times as fast as `concatenate`
         at = (frame, column[every["number"]])
@@ -273,8 +273,20 @@ class EpisodeRecord:
             partner=partner,
         )
 
+    def _columns(self) -> tuple[Ints, Ints]:
+        """Return the numbers of all vehicles and obstacles, the ego's first, and the column of each number."""
+        first = self.frames[0]
+        ego = int(first.things["number"][first.ego])
+        numbers = np.array([ego, *(number for number in self.sizes if number != ego)])
+        column = np.zeros(numbers.max() + 1, dtype=np.intp)
+        column[numbers] = np.arange(len(numbers))
+        return numbers, column
+
     def _signals(self, crashed: Bools, driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
-        """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it."""
+        """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it.
+
+        `crashed` and `driven` are the ego's in every frame, of which the trace keeps `count`.
+        """
         signals = {CRASHED: crashed.astype(np.float64)}
         if self._leaving_matters:
             signals[OFF_ROAD] = np.array([not frame.is_on_road for frame in self.frames], dtype=np.float64)
