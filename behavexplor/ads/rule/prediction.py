@@ -60,7 +60,8 @@ def lane_graph(roadmap: RoadMap, path: Path) -> LaneGraph:
 @lru_cache(maxsize=4)  # triage makes many planners for one map
 def _lanes_of(roadmap: RoadMap) -> tuple[Floats, Ints, Floats, Bools]:
     """Return what no path changes: `lanes`, `tails` and `around` of the graph, and which lanes come near the route."""
-    routes, ego_route = (*roadmap.npc_routes, roadmap.ego_route), roadmap.ego_route
+    ego_route = roadmap.ego_route
+    routes = (*roadmap.npc_routes, ego_route)
     lanes = tuple({lane.name: lane for route in routes for lane in route.lanes}.values())
     index = {lane.name: i for i, lane in enumerate(lanes)}
     sequences = [tuple(index[lane.name] for lane in route.lanes) for route in routes]
