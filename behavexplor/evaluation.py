@@ -36,8 +36,10 @@ from behavexplor.judge.specs import ERROR, SPECS
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
 _BETWEEN_LOOKS: Final = 1.005  # ratio of the numbers of scenarios at two looks at a rate
 AHEAD: Final = 1024  # scenarios under way that are judged by their traces, enough for many processes in lock-step
-BLOCK, SMALL_BLOCK = 256, 32  # scenarios that are counted together, in lock-step, or judged by their traces
-LARGE_BLOCK, MANY = 1024, 16_384  # scenarios that are counted together if there are many, which takes less time
+SMALL_BLOCK: Final = 32  # scenarios of a block that are judged by their traces
+BLOCK: Final = 256  # scenarios that are counted together, in lock-step
+LARGE_BLOCK: Final = 1024  # scenarios that are counted together if there are many, which takes less time
+MANY: Final = 16_384  # scenarios of an evaluation with large blocks
 BLOCKS_AHEAD: Final = 64
 Observe = Callable[[int], None]
 _COUNTS, _COUNT = "counts", "count"  # functions of the service
@@ -116,7 +118,8 @@ class Judge(Evaluator):
         if not getattr(self.simulation.ads, "vectorized", False):
             return None
         if slots not in self._driven:
-            short, whole = self.simulation.lock_step(slots, short=True), self.simulation.lock_step(self._lock_step)
+            short = self.simulation.lock_step(slots, short=True)
+            whole = self.simulation.lock_step(self._lock_step)
             self._driven[slots] = (short, whole) if short is not None and whole is not None else None
         return self._driven[slots]
 
@@ -155,7 +158,10 @@ class Judge(Evaluator):
 
 
 def start_judge(target: Target, workers: int, driver: ADS | None = None) -> Executor:
-    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`."""
+    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`.
+
+    `driver` is an object of this process that drives in place of the target's driving system, None for none.
+    """
     return start_executor(target, workers, recipe=recipe_for(Judge, target), driver=driver)
 
 
@@ -171,9 +177,9 @@ def estimate_rates(
 ) -> Evaluation:
     """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the number of workers.
 
-    The executor is that of `start_judge`. With a goal, the evaluation ends as soon as what is to be known is, at the
-    latest after n scenarios. `observe` gets the number of finished ones. With a file, the evaluation goes on from it
-    and is written to it.
+    The executor is that of `start_judge`; the scenarios are n random ones by the seed. With a goal, the evaluation ends
+    as soon as what is to be known is, at the latest after n scenarios. `observe` gets the number of finished ones. With
+    a file, the evaluation goes on from it and is written to it.
 
     Raises:
         InputError: if the file is damaged.
@@ -214,7 +220,9 @@ def uniform_outcomes(
 
     Those in the file are not driven again, and the others are added to it in whole blocks.
     """
-    generator, done, observe = np.random.default_rng([STREAM, seed]), 0, observe or (lambda _: None)
+    observe = observe or (lambda _: None)
+    generator = np.random.default_rng([STREAM, seed])
+    done = 0
     for block in file.blocks() if file else ():
         yield from block.outcomes[: n - done]
         done, generator = done + len(block.outcomes), _generator(block.state)
@@ -246,7 +254,8 @@ def uniform_blocks(
     Raises:
         RuntimeError: if a scenario could not be executed, or failed only once.
     """
-    size, ahead = LARGE_BLOCK if numbers.stop >= MANY else BLOCK, 0 if judge.runs_here else BLOCKS_AHEAD
+    size = LARGE_BLOCK if numbers.stop >= MANY else BLOCK
+    ahead = 0 if judge.runs_here else BLOCKS_AHEAD
     is_counted = bool(judge.submit(_COUNTS, str(size).encode()).result())
     if not is_counted:
         size, ahead = SMALL_BLOCK, AHEAD // SMALL_BLOCK

@@ -7,7 +7,7 @@ uninterrupted one.
 
 import io
 import re
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
@@ -43,7 +43,10 @@ from behavexplor.envs.making import environment_id
 from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 from behavexplor.errors import InputError, unknown_name
 
-CONFIG, NETWORK, MODELS, LOGS = "training.yaml", "policy.npz", "models", "logs"  # names in the folder of a training
+CONFIG: Final = "training.yaml"  # this and the following are names in the folder of a training
+NETWORK: Final = "policy.npz"
+MODELS: Final = "models"
+LOGS: Final = "logs"
 EPISODES: Final = 1000  # latest episodes over which rates are reported
 
 ALGORITHMS: Mapping[str, type[OnPolicyAlgorithm]] = {
@@ -58,6 +61,7 @@ _SETTINGS: Mapping[str, Mapping[str, Any]] = {
 }
 _RATES: Mapping[str, float] = {"ppo": 5e-4, "a2c": 7e-4, "trpo": 1e-3}  # initial learning rates
 _LAST_RATE: Final = 0.05  # least learning rate, as a share of the initial one
+_WIDEST: Final = 4096  # greatest width of a hidden layer
 
 
 @validated
@@ -78,20 +82,30 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         if self.env not in FUNCTIONAL_SCENARIOS:
-            raise _not_trained(self.env)
+            raise _not_trainable(self.env)
         if self.algo not in ALGORITHMS:
             raise unknown_name("algorithm", self.algo, ALGORITHMS)
-        if not self.layers or not all(1 <= width <= 4096 for width in self.layers):
-            raise InputError(f"layers {self.layers} must be at least one width, each between 1 and 4096")
+        if not self.layers or not all(1 <= width <= _WIDEST for width in self.layers):
+            raise InputError(f"layers {self.layers} must be at least one width, each between 1 and {_WIDEST}")
 
     @property
     def n_stages(self) -> int:
-        """Number of stages."""
-        return -(-self.steps // self.stage)
+        """Number of stages, of which the last may be shorter."""
+        return -(-self.steps // self.stage)  # rounded up
 
     def to_yaml(self) -> str:
         """Return the whole configuration as YAML."""
         return yaml.safe_dump({**asdict(self), "layers": list(self.layers)}, sort_keys=False)
+
+
+def _not_trainable(env: str) -> InputError:
+    """Return the error for an environment whose policies are not trained by this module."""
+    if env.removeprefix(f"{NAMESPACE}/") in HIGHWAY_ENV:
+        return InputError(
+            f"Policies for {env} are trained by Stable-Baselines3 itself, for example on HighwayVecEnv, which is "
+            f"compiled (docs/highway-env.md): this trains on {', '.join(FUNCTIONAL_SCENARIOS)}"
+        )
+    return unknown_name("functional scenario", env, FUNCTIONAL_SCENARIOS)
 
 
 @dataclass(frozen=True)
@@ -104,7 +118,9 @@ class Learned:
 
 
 def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], None]) -> Path:
-    """Train a policy. If the folder has a saved model, the training resumes from the last one.
+    """Train a policy; `observe` gets the progress after each batch of experience.
+
+    A training whose folder has models is resumed from the last of them.
 
     Returns:
         The file of the network, for `behavexplor.ads.learned.network_file.read_network`.
@@ -117,14 +133,13 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     folder_in(folder, MODELS)
     first, model = _last_model(folder, config, venv)
     model.set_logger(configure(log_folder(folder, f"stage-{first + 1:04d}"), log_formats()))
-    watch = TrainingReporter(observe)
+    reporter = TrainingReporter(observe)
     try:
         for stage in range(first, config.n_stages):
-            begin_stage(
-                model, venv, (config.seed, stage), _RATES[config.algo] * max(1 - stage / config.n_stages, _LAST_RATE)
-            )
+            rate = _RATES[config.algo] * max(1 - stage / config.n_stages, _LAST_RATE)
+            begin_stage(model, venv, (config.seed, stage), rate)
             steps = min(config.stage, config.steps - stage * config.stage)
-            model.learn(steps, callback=watch, reset_num_timesteps=False)
+            model.learn(steps, callback=reporter, reset_num_timesteps=False)
             save_model(model, folder / MODELS / f"stage-{stage + 1:04d}.pt")
     finally:
         model.logger.close()
@@ -154,10 +169,12 @@ def restore_model(model: BaseAlgorithm, path: Path, otherwise: str) -> None:
         InputError: if the file is damaged or belongs to another model.
     """
     try:
-        learned = torch.load(io.BytesIO(read_file(path)), map_location="cpu", weights_only=True)
+        data = read_file(path)  # torch would wait for a pipe, and read a file of any size
+        learned = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
         model.policy.load_state_dict(learned["policy"])
         model.policy.optimizer.load_state_dict(learned["optimizer"])
-        model.num_timesteps, model._n_updates = int(learned["steps"]), int(learned["updates"])  # noqa: SLF001
+        model.num_timesteps = int(learned["steps"])
+        model._n_updates = int(learned["updates"])  # noqa: SLF001 - the logs show it
     except Exception as error:  # torch can raise anything for a damaged file
         first = str(error).split("\n", maxsplit=1)[0]
         raise InputError(f"Cannot resume from {path}: {first}; {otherwise}") from error
@@ -168,16 +185,6 @@ def load_layers(model: BaseAlgorithm, layers: Layers) -> None:
     for part, (weights, bias) in zip(dense_layers(model.policy), layers, strict=True):
         part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
         part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
-
-
-def _not_trained(env: str) -> InputError:
-    """Return the error for an environment whose policies are not trained by this module."""
-    if env.removeprefix(f"{NAMESPACE}/") in HIGHWAY_ENV:
-        return InputError(
-            f"Policies for {env} are trained by Stable-Baselines3 itself, for example on HighwayVecEnv, which is "
-            f"compiled (docs/highway-env.md): this trains on {', '.join(FUNCTIONAL_SCENARIOS)}"
-        )
-    return unknown_name("functional scenario", env, FUNCTIONAL_SCENARIOS)
 
 
 def learning_env(env: str, num_envs: int = 64) -> LearningVecEnv:
@@ -194,7 +201,7 @@ def learning_env(env: str, num_envs: int = 64) -> LearningVecEnv:
         InputError: if there is no functional scenario of that name.
     """
     if env not in FUNCTIONAL_SCENARIOS:
-        raise _not_trained(env)
+        raise _not_trainable(env)
     settings = {"observation": dict(OBSERVATION), "action": dict(ACTION), "policy_frequency": POLICY_FREQUENCY}
     envs: Any = gymnasium.make_vec(
         environment_id(env),
@@ -207,9 +214,10 @@ def learning_env(env: str, num_envs: int = 64) -> LearningVecEnv:
 
 
 def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
-    """Write a network as a model of Stable-Baselines3 with a new critic, and the file beside it that describes it.
+    """Write a network, trained in a functional scenario, as a model of Stable-Baselines3 (a ".zip") with a new critic.
 
-    `PPO.load(path, env=learning_env(...))` goes on training it, and `--ads` drives it as the network.
+    The file beside it describes it. `PPO.load(path, env=learning_env(...))` goes on training it, and `--ads` drives it
+    as the network.
 
     Raises:
         InputError: if the network is none of this package's policies, or the file cannot be written.
@@ -221,7 +229,8 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
     load_layers(model, network.layers)
     venv.close()
     try:
-        with new_file(folder_in(path.parent) / path.name) as file:
+        folder_in(path.parent)  # makes it
+        with new_file(path) as file:
             model.save(file)
         write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": env, "decision": network.rule}))
     except OSError as error:
@@ -229,7 +238,7 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
 
 
 def new_model(config: TrainingConfig, venv: LearningVecEnv) -> OnPolicyAlgorithm:
-    """Return an untrained model."""
+    """Return an untrained model, whose weights are drawn by the configuration's seed."""
     algorithm: Any = ALGORITHMS[config.algo]
     settings = dict(_SETTINGS[config.algo])
     if "batch_size" in settings:
@@ -251,7 +260,7 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
 
 
 def begin_stage(model: BaseAlgorithm, venv: VecEnv, seed: Sequence[int], rate: float) -> None:
-    """Set new episodes, random generators and the learning rate."""
+    """Set new episodes, random generators and the learning rate of a stage, whose `seed` may have several numbers."""
     networks, episodes = np.random.SeedSequence(seed).generate_state(2)
     set_random_seed(int(networks))
     venv.seed(int(episodes))
@@ -262,14 +271,14 @@ def begin_stage(model: BaseAlgorithm, venv: VecEnv, seed: Sequence[int], rate: f
 
 
 class TrainingReporter(BaseCallback):
-    """Callback that reports the ends of the latest episodes after each batch of experience."""
+    """Callback that reports rewards and ends of the latest episodes after each batch of experience, and logs them."""
 
     def __init__(self, observe: Callable[[Learned], None]) -> None:
         super().__init__()
         self._observe = observe
-        self._ends: list[str] = []
-        self._rewards: list[float] = []
-        self._sums: Floats = np.zeros(0)
+        self._ends: deque[str] = deque(maxlen=EPISODES)
+        self._rewards: deque[float] = deque(maxlen=EPISODES)
+        self._sums: Floats = np.zeros(0)  # rewards of the present episodes so far, shape (num_envs,)
 
     def _on_training_start(self) -> None:
         self._sums = np.zeros(self.training_env.num_envs)
@@ -277,8 +286,8 @@ class TrainingReporter(BaseCallback):
     def _on_step(self) -> bool:
         self._sums += self.locals["rewards"]
         for i in np.flatnonzero(self.locals["dones"]):
-            self._ends = [*self._ends[1 - EPISODES :], self.locals["infos"][i]["end"]]
-            self._rewards = [*self._rewards[1 - EPISODES :], float(self._sums[i])]
+            self._ends.append(self.locals["infos"][i]["end"])
+            self._rewards.append(float(self._sums[i]))
             self._sums[i] = 0.0
         return True
 

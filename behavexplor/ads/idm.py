@@ -61,7 +61,7 @@ class IDMDriver:
 
 
 def idm_driver(roadmap: RoadMap, variant: str = "") -> IDMDriver:
-    """Make the driver, which has no variants.
+    """Make the driver. It has no variants, so `variant` must be empty.
 
     Raises:
         InputError: if a variant is given.

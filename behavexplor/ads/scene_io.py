@@ -43,7 +43,9 @@ def _round(numbers: Floats) -> None:
 
 
 def as_memory(state: Floats | None, episode_start: Bools | None, shape: tuple[int, int]) -> Floats:
-    """Return the memory as a new array of a shape (B, n): zeros at first, and in rows that begin an episode.
+    """Return the memory as a new, writable array of a shape (B, n): zeros at first, and in rows that begin an episode.
+
+    `state` is None at first, and `episode_start`, shape (B,), if no row begins one.
 
     Raises:
         InputError: if an array has another shape.

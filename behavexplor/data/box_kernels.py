@@ -1,4 +1,4 @@
-"""Contact and distances of boxes and segments, compiled; `behavexplor.data.geometry` has them for many pairs."""
+"""Contact and distances of boxes and segments, and stations on polylines, compiled for `behavexplor.data.geometry`."""
 
 import math
 from typing import Final, TypeAlias
@@ -124,9 +124,9 @@ def fill_gaps_from_lines(
 
 @kernel_in_place
 def fill_changed_frames(position: Floats, heading: Floats, frames: Ints) -> int:
-    """Fill in the frames, shape (T,), in which the first vehicle moves, and the first; return their number.
+    """Fill in, in order, the frames in which the first vehicle moves, and the first frame; return their number.
 
-    Centers have the shape (T, N, 2) [m], headings (T, N) [rad].
+    Centers have the shape (T, N, 2) [m], headings (T, N) [rad], `frames` (T,).
     """
     count = 0
     for t in range(len(heading)):
@@ -250,8 +250,8 @@ def _to_segment(point: Floats, segment: Floats) -> float:
 def fill_stations(points: Floats, vertices: Floats, pieces: Floats, ends: Floats, stations: Floats) -> None:
     """Fill in the station of each point's nearest place, on the segments around its nearest vertex [m].
 
-    Pieces are the direction and length [m] of each segment, shape (P - 1, 3), and `ends` the stations of the vertices
-    [m].
+    Points have the shape (T, 2) [m], their stations (T,), the polyline's vertices (P, 2) [m]. Pieces are the direction
+    and length [m] of each segment, shape (P - 1, 3), and `ends` the stations of the vertices, shape (P,) [m].
     """
     vertex, longest = 0, _longest(pieces)
     for t in range(len(points)):

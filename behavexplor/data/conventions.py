@@ -30,7 +30,7 @@ def is_rear_end(ahead: float, turned: float, ego_length: float, ego_speed: float
     """Return whether a vehicle that touches the ego ran into its back.
 
     Its center is `ahead` of the ego's along the ego's heading [m], and `turned` is its heading relative to the ego's,
-    in [-pi, pi] [rad].
+    in [-pi, pi] [rad]. Lengths are in meters, speeds in m/s.
     """
     # A vehicle whose center is ahead of the ego's rear bumper came alongside, not from behind.
     return ahead < -ego_length / 2 and abs(turned) < REAR_END_ANGLE and npc_speed > ego_speed
@@ -42,7 +42,7 @@ def wrapped(angle: float) -> float:
 
 
 def with_meta_actions(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration of highway-env whose actions are meta-actions, with the same target speeds."""
+    """Return a whole configuration of highway-env with meta-actions for its actions, and the same target speeds."""
     action = config["action"] if config["action"].get("type") == "DiscreteMetaAction" else {}
     meta = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
     return {**config, "action": {**action, **meta}}

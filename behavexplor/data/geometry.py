@@ -1,4 +1,4 @@
-"""Oriented boxes and line segments in the plane: corners, overlap and exact distances.
+"""Oriented boxes and line segments in the plane: corners, overlap and exact distances; and projection on polylines.
 
 The world frame is highway-env's: x points to the right, y points down, and headings turn from x toward y. A positive
 lateral offset therefore lies to the right of the direction of travel. Lengths are in meters, angles in radians.
@@ -18,7 +18,8 @@ _UNIT_BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
     """Compute the corners of oriented boxes in order around each box, shape (..., 4, 2).
 
-    Centers have the shape (..., 2) [m], headings (...) [rad]; length and width are broadcast against the centers.
+    Centers have the shape (..., 2) [m], headings (...) [rad]; length and width, shape (..., 2) [m], are broadcast
+    against the centers.
     """
     local = _UNIT_BOX * np.asarray(size)[..., None, :]
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
@@ -55,7 +56,7 @@ def point_segment_distances(points: Floats, segments: Floats) -> Floats:
 def point_box_distance(point: Floats, position: Floats, heading: Floats, size: Floats) -> Floats:
     """Compute the distance from a point, shape (2,), to boxes, 0 within them; shape (...) [m].
 
-    Centers have the shape (..., 2) [m], headings (...) [rad]; all boxes have one length and width.
+    Centers have the shape (..., 2) [m], headings (...) [rad]; all boxes have one length and width, shape (2,) [m].
     """
     gap = point - position
     cos, sin = np.cos(heading), np.sin(heading)
@@ -88,7 +89,10 @@ def gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats) 
 
 
 def changed_frames(position: Floats, heading: Floats) -> Ints:
-    """Return the frames in which the first vehicle differs from the frame before, and the first frame."""
+    """Return the frames in which the first vehicle differs from the frame before, and the first frame.
+
+    Centers have the shape (T, N, 2) [m], headings (T, N) [rad].
+    """
     frames = np.empty(len(heading), dtype=np.intp)
     count = box_kernels.fill_changed_frames(np.ascontiguousarray(position), np.ascontiguousarray(heading), frames)
     return frames[:count]

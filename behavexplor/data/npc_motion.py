@@ -153,7 +153,10 @@ def fill_phases(waypoints: Floats, phases: Floats) -> int:
 
 @kernel_inner
 def npc_at(routes: Routes, route: int, phase: Floats, time: float) -> tuple[float, float, float, float]:
-    """Compute the position x and y [m], heading [rad] and speed [m/s] of an NPC at a time in a phase."""
+    """Compute the position x and y [m], heading [rad] and speed [m/s] of an NPC at a time in a phase [s].
+
+    `route` is the row of its route, and `phase` a row of `fill_phases`.
+    """
     since, speed, acceleration = time - phase[BEGIN], phase[PHASE_SPEED], phase[PHASE_ACCELERATION]
     station = phase[STATION] + since * (speed + 0.5 * acceleration * since)
     i = 0

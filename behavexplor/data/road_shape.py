@@ -41,7 +41,10 @@ class RoadShape:
         return sum(len(line) for line in (*self.surfaces, *self.striped, *self.borders)) + int(sum(lengths) / PERIOD)
 
     def dashes(self, low: Floats, high: Floats) -> list[Floats]:
-        """Return the dashes of the striped lines in the rectangle from `low` to `high` [m], each of shape (2, 2)."""
+        """Return the dashes of the striped lines in the rectangle from `low` to `high` [m], each of shape (2, 2).
+
+        `low` are the least x and y, `high` the greatest.
+        """
         found = []
         for line in self.striped:
             ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])

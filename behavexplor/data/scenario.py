@@ -17,6 +17,9 @@ from behavexplor.data.scripted import NPC, ScriptedScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import parse_json
 
+MAX_KEEP_PROBABILITY: Final = 0.95  # with greater values, almost every draw would leave a scenario unchanged
+MIN_SIGMA: Final = 1e-6  # smaller noise would leave a scenario unchanged
+
 
 class Scenario(Protocol):
     """A concrete scenario: a frozen value, which can be compared, hashed and stored."""
@@ -85,10 +88,6 @@ def parse_scenario(text: str) -> Scenario:
         InputError: if the text is too long or not JSON, or a field is wrong; the message names the field.
     """
     return read_scenario(parse_json(text, "a scenario"))
-
-
-MAX_KEEP_PROBABILITY: Final = 0.95  # with greater values, almost every draw would leave a scenario unchanged
-MIN_SIGMA: Final = 1e-6  # smaller noise would leave a scenario unchanged
 
 
 Value = float | str | None

@@ -25,6 +25,7 @@ from behavexplor.errors import InputError, brief, unknown_name
 
 MAX_NAME_LENGTH = 200  # characters
 MAX_NUMBER = 1e9  # limit of positions [m] and speeds [m/s]
+_MARGIN: Final = 1e-6  # much more than roundings change a distance [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,9 +211,6 @@ def _number(name: str, value: object) -> float:
     if not 0 <= number < math.inf:
         raise InputError(f"{name}: expected a number from 0 to {MAX_NUMBER:g}, got {value!r:.80}")
     return number
-
-
-_MARGIN: Final = 1e-6  # much more than roundings change a distance [m]
 
 
 @dataclass(frozen=True)

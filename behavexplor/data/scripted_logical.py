@@ -1,4 +1,4 @@
-"""Logical scenarios of scripted vehicles: ranges of concrete scenarios on a map, with their mutations and encoding.
+"""Logical scenarios of scripted vehicles: ranges of scenarios on a map, with their mutations, encoding and parts.
 
 The encoding makes vectors of fixed length of them. Every vector is a valid scenario. Source: paper section 2.2, for the
 parameters that are searched (the NPCs' routes and waypoints).
@@ -24,6 +24,151 @@ _UNUSED = 0.5  # gene of a waypoint that the route does not have
 _DIGITS = 6  # decimals of decoded positions [m] and speeds [m/s], so that copies of a scenario are equal to it
 _STEPS = 64  # positions tried along a lane for a vehicle that cannot start at its own position
 _ATTEMPTS = 1000
+WAYPOINTS: Final = "waypoints"
+ROUTES: Final = "routes"
+
+
+class ScriptedLogicalScenario(ScriptedRanges):
+    """The parameters of a functional scenario and their ranges; see `behavexplor.data.scenario.LogicalScenario`."""
+
+    @cached_property
+    def encoding(self) -> "ScriptedEncoding":
+        """The encoding of scenarios as vectors."""
+        return ScriptedEncoding(self)
+
+    @property
+    def has_original(self) -> bool:
+        """False: highway-env has no scripted vehicles."""
+        return False
+
+    @property
+    def config(self) -> Mapping[str, Any]:
+        """Nothing: the scripts hold in every configuration."""
+        return {}
+
+    def to_json(self) -> str:
+        """Return nothing: the name of the environment says all."""
+        return ""
+
+    @property
+    def removable(self) -> bool:
+        """True: a scenario may have fewer vehicles."""
+        return True
+
+    @property
+    def mutations(self) -> Mutations:
+        """Names of the paper's mutations."""
+        return Mutations(WAYPOINTS, ROUTES)
+
+    @property
+    def line_kinds(self) -> tuple[str, ...]:
+        """The kinds of the illegal lines in a trace."""
+        return tuple(self.roadmap.line_kinds)
+
+    def adopted(self, scenario: ScriptedScenario) -> ScriptedScenario:
+        """Return the scenario of another driver, which is the same for every driver."""
+        self.check(scenario)
+        return scenario
+
+    def mutate_little(self, scenario: ScriptedScenario, rng: np.random.Generator, noise: Noise) -> ScriptedScenario:
+        """Return a mutant by Gaussian noise on the waypoints of some NPCs, whose routes and types stay unchanged."""
+        return mutated(scenario, self, rng, noise.keep_probability, lambda npc: shift_waypoints(npc, self, rng, noise))
+
+    def mutate_much(
+        self, scenario: ScriptedScenario, rng: np.random.Generator, keep_probability: float
+    ) -> ScriptedScenario:
+        """Return a mutant by a new type, a new route and new uniform waypoints for some NPCs."""
+        return mutated(scenario, self, rng, keep_probability, lambda _: self.sample_npc(rng))
+
+    def first_frame(self, scenario: ScriptedScenario, end: str) -> Trace:
+        """Return the trace of an episode that ended, in one of `ENDS`, before any vehicle moved."""
+        roadmap = self.roadmap
+        poses = np.stack([roadmap.start_pose, *map(self.start_pose_of, scenario.npcs)])
+        speeds = np.array([0.0, *(npc.waypoints[0].speed for npc in scenario.npcs)])
+        heading = poses[:, 2]
+        return Trace(
+            time=np.zeros(1),
+            position=poses[None, :, :2],
+            heading=heading[None],
+            velocity=speeds[None, :, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1),
+            size=np.array([EGO_SIZE, *(VEHICLE_SIZES[npc.type] for npc in scenario.npcs)]),
+            actions=np.zeros((0, 1)),
+            action_frame=np.zeros(0, dtype=np.int64),
+            route=roadmap.ego_line,
+            destination=roadmap.destination_point,
+            illegal_lines=roadmap.illegal_lines,
+            end=end,
+        )
+
+    def describe(self, scenario: ScriptedScenario) -> str:
+        """Return a short description: the number of NPCs and their routes."""
+        routes = [npc.route for npc in scenario.npcs]
+        listed = ", ".join(f"{routes.count(route)} on {route}" for route in dict.fromkeys(routes))
+        return f"{len(routes)} NPCs: {listed}" if routes else "no NPCs"
+
+    def parts(self, scenario: ScriptedScenario) -> Parts:
+        """Return the vehicles of a scenario as parts; see `behavexplor.data.scripted_logical`."""
+        return tuple(part_of(npc, self) for npc in scenario.npcs)
+
+    def with_parts(self, scenario: ScriptedScenario, parts: Parts) -> ScriptedScenario:
+        """Return a scenario with other vehicles."""
+        changed = replace(scenario, npcs=tuple(vehicle_of(part, self) for part in parts))
+        self.check(changed)
+        return changed
+
+
+def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
+    """Return a logical scenario of scripted vehicles as what it is; `what` needs it, for the error message.
+
+    Raises:
+        InputError: if it is one of a highway-env environment.
+    """
+    if not isinstance(logical, ScriptedLogicalScenario):
+        raise InputError(f"{what} needs one of the environments with scripted vehicles, such as intersection-straight")
+    return logical
+
+
+def shift_waypoints(npc: NPC, logical: ScriptedRanges, rng: np.random.Generator, noise: Noise) -> NPC:
+    """Return an NPC with Gaussian noise on its waypoints, regardless of other vehicles.
+
+    A waypoint stays in its lane. Waypoints on one lane that overtook each other are sorted. Speeds stay in their range,
+    and the last one stays 0.
+    """
+    ranges, count = logical.ranges[npc.route], len(npc.waypoints)
+    change = rng.normal(0.0, (noise.sigma_position, noise.sigma_speed), (count, 2))
+    change *= rng.random((count, 1)) >= noise.point_keep_probability
+    positions, speeds = [], []
+    for waypoint, allowed, (along, faster) in zip(npc.waypoints, ranges, change.tolist(), strict=True):
+        positions.append(min(max(waypoint.position + along, allowed.start), allowed.end))
+        speeds.append(min(max(waypoint.speed + faster, allowed.slowest), allowed.fastest))
+    waypoints, last = [], 0.0
+    for position, speed, allowed in zip(sorted(positions), speeds, ranges, strict=True):
+        last = max(last, min(max(position, allowed.start), allowed.end))
+        waypoints.append(Waypoint(last, speed))
+    return NPC(npc.type, npc.route, tuple(waypoints))
+
+
+def mutated(
+    scenario: ScriptedScenario,
+    logical: ScriptedRanges,
+    rng: np.random.Generator,
+    keep_probability: float,
+    change: Callable[[NPC], NPC],
+) -> ScriptedScenario:
+    """Change each NPC with probability 1 - epsilon, and place it beside the other NPCs by the spawn rules.
+
+    Raises:
+        InputError: if no mutant was found.
+    """
+    for _ in range(_ATTEMPTS):
+        npcs = list(scenario.npcs)
+        for i in np.flatnonzero(rng.random(len(npcs)) > keep_probability):
+            others = npcs[:i] + npcs[i + 1 :]
+            npcs[i] = logical.place(partial(change, npcs[i]), others)
+        mutant = ScriptedScenario(scenario.functional, tuple(npcs))
+        if mutant != scenario:
+            return mutant
+    raise InputError(f"None of {_ATTEMPTS} mutations changed a scenario with {len(scenario.npcs)} NPCs")
 
 
 class ScriptedEncoding:
@@ -66,7 +211,11 @@ class ScriptedEncoding:
         return ROUTE if rng.random() < 0.5 else int(rng.choice(self.speed_genes))
 
     def decode(self, vector: Floats) -> ScriptedScenario:
-        """Decode genes, shape (n,), to a valid scenario. Values beyond [0, 1] are clipped."""
+        """Decode genes, shape (n,), to a valid scenario. Values beyond [0, 1] are clipped.
+
+        Raises:
+            InputError: if they have a wrong shape or are not finite, or there is no place for all vehicles.
+        """
         vector = np.asarray(vector, dtype=np.float64)
         if vector.shape != (self.size,) or not np.isfinite(vector).all():
             raise InputError(f"vector: expected {self.size} finite numbers, got shape {vector.shape}")
@@ -79,6 +228,9 @@ class ScriptedEncoding:
         """Encode a valid scenario with an NPC for each block as genes, shape (n,). `decode` restores six decimals.
 
         The genes of type and route are the middles of their parts of [0, 1].
+
+        Raises:
+            InputError: if the scenario has more or fewer NPCs.
         """
         if len(scenario.npcs) != self.n_blocks:
             raise InputError(f"npcs: expected {self.n_blocks}, got {len(scenario.npcs)}")
@@ -87,7 +239,8 @@ class ScriptedEncoding:
     def features(self, vectors: Floats) -> Floats:
         """Convert vectors of genes, shape (k, n), to features for distances and regression, shape (k, features).
 
-        Types and routes are one-hot: any two different types, or routes, are at distance 1.
+        Types and routes are one-hot: any two different types, or routes, are at distance 1. So there are n_blocks *
+        (types + routes + n_genes - 2) features.
         """
         blocks = vectors.reshape(len(vectors), self.n_blocks, self.n_genes)
         parts = [
@@ -158,153 +311,6 @@ def _outwards(share: float) -> Iterator[float]:
         for other in (share + step / _STEPS, share - step / _STEPS):
             if 0.0 <= other <= 1.0:
                 yield other
-
-
-def shift_waypoints(npc: NPC, logical: ScriptedRanges, rng: np.random.Generator, noise: Noise) -> NPC:
-    """Return an NPC with Gaussian noise on its waypoints, regardless of other vehicles.
-
-    A waypoint stays in its lane. Waypoints on one lane that overtook each other are sorted. Speeds stay in their range,
-    and the last one stays 0.
-    """
-    ranges, count = logical.ranges[npc.route], len(npc.waypoints)
-    change = rng.normal(0.0, (noise.sigma_position, noise.sigma_speed), (count, 2))
-    change *= rng.random((count, 1)) >= noise.point_keep_probability
-    positions, speeds = [], []
-    for waypoint, allowed, (along, faster) in zip(npc.waypoints, ranges, change.tolist(), strict=True):
-        positions.append(min(max(waypoint.position + along, allowed.start), allowed.end))
-        speeds.append(min(max(waypoint.speed + faster, allowed.slowest), allowed.fastest))
-    waypoints, last = [], 0.0
-    for position, speed, allowed in zip(sorted(positions), speeds, ranges, strict=True):
-        last = max(last, min(max(position, allowed.start), allowed.end))
-        waypoints.append(Waypoint(last, speed))
-    return NPC(npc.type, npc.route, tuple(waypoints))
-
-
-def mutated(
-    scenario: ScriptedScenario,
-    logical: ScriptedRanges,
-    rng: np.random.Generator,
-    keep_probability: float,
-    change: Callable[[NPC], NPC],
-) -> ScriptedScenario:
-    """Change each NPC with probability 1 - epsilon, and place it beside the other NPCs by the spawn rules.
-
-    Raises:
-        InputError: if no mutant was found.
-    """
-    for _ in range(_ATTEMPTS):
-        npcs = list(scenario.npcs)
-        for i in np.flatnonzero(rng.random(len(npcs)) > keep_probability):
-            others = npcs[:i] + npcs[i + 1 :]
-            npcs[i] = logical.place(partial(change, npcs[i]), others)
-        mutant = ScriptedScenario(scenario.functional, tuple(npcs))
-        if mutant != scenario:
-            return mutant
-    raise InputError(f"None of {_ATTEMPTS} mutations changed a scenario with {len(scenario.npcs)} NPCs")
-
-
-WAYPOINTS: Final = "waypoints"
-ROUTES: Final = "routes"
-
-
-class ScriptedLogicalScenario(ScriptedRanges):
-    """The parameters of a functional scenario and their ranges; see `behavexplor.data.scenario.LogicalScenario`."""
-
-    @cached_property
-    def encoding(self) -> ScriptedEncoding:
-        """The encoding of scenarios as vectors."""
-        return ScriptedEncoding(self)
-
-    @property
-    def has_original(self) -> bool:
-        """False: highway-env has no scripted vehicles."""
-        return False
-
-    @property
-    def config(self) -> Mapping[str, Any]:
-        """Nothing: the scripts hold in every configuration."""
-        return {}
-
-    def to_json(self) -> str:
-        """Return nothing: the name of the environment says all."""
-        return ""
-
-    @property
-    def removable(self) -> bool:
-        """True: a scenario may have fewer vehicles."""
-        return True
-
-    @property
-    def mutations(self) -> Mutations:
-        """Names of the paper's mutations."""
-        return Mutations(WAYPOINTS, ROUTES)
-
-    @property
-    def line_kinds(self) -> tuple[str, ...]:
-        """The kinds of the illegal lines in a trace."""
-        return tuple(self.roadmap.line_kinds)
-
-    def adopted(self, scenario: ScriptedScenario) -> ScriptedScenario:
-        """Return the scenario of another driver, which is the same for every driver."""
-        self.check(scenario)
-        return scenario
-
-    def mutate_little(self, scenario: ScriptedScenario, rng: np.random.Generator, noise: Noise) -> ScriptedScenario:
-        """Return a mutant by Gaussian noise on the waypoints of some NPCs, whose routes and types stay unchanged."""
-        return mutated(scenario, self, rng, noise.keep_probability, lambda npc: shift_waypoints(npc, self, rng, noise))
-
-    def mutate_much(
-        self, scenario: ScriptedScenario, rng: np.random.Generator, keep_probability: float
-    ) -> ScriptedScenario:
-        """Return a mutant by a new type, a new route and new uniform waypoints for some NPCs."""
-        return mutated(scenario, self, rng, keep_probability, lambda _: self.sample_npc(rng))
-
-    def first_frame(self, scenario: ScriptedScenario, end: str) -> Trace:
-        """Return the trace of an episode that ended before any vehicle moved."""
-        roadmap = self.roadmap
-        poses = np.stack([roadmap.start_pose, *map(self.start_pose_of, scenario.npcs)])
-        speeds = np.array([0.0, *(npc.waypoints[0].speed for npc in scenario.npcs)])
-        heading = poses[:, 2]
-        return Trace(
-            time=np.zeros(1),
-            position=poses[None, :, :2],
-            heading=heading[None],
-            velocity=speeds[None, :, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1),
-            size=np.array([EGO_SIZE, *(VEHICLE_SIZES[npc.type] for npc in scenario.npcs)]),
-            actions=np.zeros((0, 1)),
-            action_frame=np.zeros(0, dtype=np.int64),
-            route=roadmap.ego_line,
-            destination=roadmap.destination_point,
-            illegal_lines=roadmap.illegal_lines,
-            end=end,
-        )
-
-    def describe(self, scenario: ScriptedScenario) -> str:
-        """Return a short description: the number of NPCs and their routes."""
-        routes = [npc.route for npc in scenario.npcs]
-        listed = ", ".join(f"{routes.count(route)} on {route}" for route in dict.fromkeys(routes))
-        return f"{len(routes)} NPCs: {listed}" if routes else "no NPCs"
-
-    def parts(self, scenario: ScriptedScenario) -> Parts:
-        """Return the vehicles of a scenario as parts; see `behavexplor.data.scripted_logical`."""
-        return tuple(part_of(npc, self) for npc in scenario.npcs)
-
-    def with_parts(self, scenario: ScriptedScenario, parts: Parts) -> ScriptedScenario:
-        """Return a scenario with other vehicles."""
-        changed = replace(scenario, npcs=tuple(vehicle_of(part, self) for part in parts))
-        self.check(changed)
-        return changed
-
-
-def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
-    """Return a logical scenario of scripted vehicles as what it is; `what` needs it, for the error message.
-
-    Raises:
-        InputError: if it is one of a highway-env environment.
-    """
-    if not isinstance(logical, ScriptedLogicalScenario):
-        raise InputError(f"{what} needs one of the environments with scripted vehicles, such as intersection-straight")
-    return logical
 
 
 def part_of(npc: NPC, ranges: ScriptedRanges) -> Part:

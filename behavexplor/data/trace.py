@@ -187,7 +187,7 @@ class Trace:
         return float(np.hypot(*(self.position[-1, 0] - self.destination)))
 
     def until(self, frames: int, end: str) -> Self:
-        """Return the first frames of the trace, as of an episode that ended there."""
+        """Return the first frames of the trace, at least 1, as of an episode that ended there in one of `ENDS`."""
         given = self.action_frame < frames
         return replace(
             self,

@@ -16,7 +16,7 @@ LARGEST: Final = 100_000  # no count, share or distance makes sense beyond it, a
 
 
 def between(low: float, high: float = LARGEST) -> AfterValidator:
-    """Return an annotation that limits a number to a range."""
+    """Return an annotation that limits a number to a range, whose ends are allowed."""
 
     def check(value: float, info: ValidationInfo) -> float:
         if not low <= value <= high:

@@ -175,7 +175,8 @@ class DrivingEnv(PlainSimulation):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode.
 
-        `options` has the concrete scenario to run, under the key `scenario`. Without it a scenario is sampled.
+        `options` has the concrete scenario to run, under the key `scenario`. Without it a scenario is sampled
+        by a generator that `seed` seeds.
 
         Raises:
             InputError: if the scenario cannot be run in this environment, or an option is unknown.

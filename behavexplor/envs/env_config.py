@@ -231,6 +231,9 @@ def _types(observation: Mapping[str, Any]) -> list[str]:
 def check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
     """Check the configuration of an observation or action: highway-env reads every key, and needs no other.
 
+    `what` says for error messages what it configures, such as "observation". `types` are highway-env's classes by the
+    names that it may have.
+
     Raises:
         InputError: if a key is unknown or missing, or a value is out of range.
     """
@@ -277,8 +280,9 @@ class _Known(NamedTuple):
 def check_space_keys(env: AbstractEnv, config: Mapping[str, Any]) -> None:
     """Check the types, keys and features of a configuration's `observation` and `action`, where they are given.
 
-    A key of another type is not refused: configurations keep such keys when their type is changed, and highway-env's
-    own documentation has some. An environment that makes its own observations may read any key.
+    `env` is in its own configuration. A key of another type is not refused: configurations keep such keys when their
+    type is changed, and highway-env's own documentation has some. An environment that makes its own observations may
+    read any key.
 
     Raises:
         InputError: if one is unknown; the message names it, and the nearest match.

@@ -43,7 +43,7 @@ TURNS = {"left": -math.pi / 2, "straight": 0.0, "right": math.pi / 2}  # change 
 def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
     """Build an unsignalized intersection of two four-lane roads; the ego comes from the south, on the inner lane.
 
-    Its start and destination are distances into its approach lane and its exit lane [m].
+    It goes "straight" or "left". Its start and destination are distances into its approach and its exit lane [m].
     """
     lanes = {lane.name: lane for lane in _crossing_lanes()}
     routes = [

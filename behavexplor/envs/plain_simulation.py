@@ -32,11 +32,10 @@ from behavexplor.envs.road_objects import ScriptedVehicle, place_ego, road_netwo
 from behavexplor.envs.tasks.scripted_outcome import POSE, TERMS, episode_trace, reward_terms
 from behavexplor.envs.tasks.scripted_slots import RUN, RUNNING
 
-YELLOW, CURB, DESTINATION = (240, 190, 40), (225, 225, 225), (80, 220, 100)
-EGO, NPCS = (
-    (80, 220, 100),
-    ((240, 120, 90), (110, 170, 250), (220, 140, 230), (120, 215, 215), (240, 205, 110), (190, 190, 190)),
-)
+YELLOW = (240, 190, 40)
+CURB = (225, 225, 225)
+DESTINATION = EGO = (80, 220, 100)
+NPCS = ((240, 120, 90), (110, 170, 250), (220, 140, 230), (120, 215, 215), (240, 205, 110), (190, 190, 190))
 LINE_WIDTH = 0.15  # [m]
 DOUBLE_LINE_GAP = 0.15  # distance of either line from the middle [m]
 

@@ -205,7 +205,8 @@ def place_ego(make: Callable[..., Vehicle], road: Road, pose: Floats, route: lis
     """Create the ego, at rest at the start of its route.
 
     highway-env's own collision response is switched off: it flags collisions too early or without contact, and pushes
-    vehicles apart. The environment computes contact instead.
+    vehicles apart. The environment computes contact instead. `make` is the vehicle class of highway-env's action type,
+    the pose x [m], y [m] and heading [rad].
     """
     ego = _ego_class(make)(road, pose[:2], heading=float(pose[2]), speed=0.0)
     set_size(ego, EGO_SIZE)

@@ -56,7 +56,7 @@ class LockStepVecEnv(VecEnv):
         """Take the stored actions and return the observations, rewards, dones and infos."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
-        listed = self._listed(infos)
+        listed = self._infos_while_running(infos)
         for b in np.flatnonzero(dones).tolist():
             self.reset_infos[b] = _of_one(infos, b, leave_out=("final_info", "final_obs"))
             listed[b] = _of_one(infos["final_info"], b) | {
@@ -65,8 +65,8 @@ class LockStepVecEnv(VecEnv):
             }
         return observations, rewards.astype(np.float32), dones, listed
 
-    def _listed(self, infos: dict[str, Any]) -> list[dict[str, Any]]:  # noqa: ARG002 - for subclasses
-        """Return the infos of the sub-environments whose episodes go on."""
+    def _infos_while_running(self, infos: dict[str, Any]) -> list[dict[str, Any]]:  # noqa: ARG002 - for subclasses
+        """Return the infos of all sub-environments, as if no episode had ended."""
         return [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
 
     def close(self) -> None:
@@ -132,34 +132,6 @@ class DrivingVecEnv(LockStepVecEnv):
         return super().get_attr(attr_name, indices)
 
 
-def _check_alike(single: gymnasium.Env[Any, Any], env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]]) -> None:
-    """Check that functions make the same environment as the first of them."""
-    if all(getattr(make, "__module__", None) == make_vec_env.__module__ for make in env_fns):
-        return
-    made: Any = single.unwrapped
-    for i, make in enumerate(env_fns[1:], 1):
-        if _program(make) == _program(env_fns[0]):
-            continue
-        other: Any = make()
-        differs = type(other.unwrapped) is not type(made) or _config_text(other) != _config_text(single)
-        other.close()
-        if differs:
-            raise InputError(
-                f"env_fns[{i}] makes another environment than env_fns[0], or configures it otherwise; use DummyVecEnv"
-            )
-
-
-def _config_text(env: Any) -> str:
-    """Return the configuration of an environment as a text, since its values may be arrays."""
-    return repr(sorted(env.unwrapped.config.items()))
-
-
-def _program(make: Any) -> tuple[Any, ...]:
-    """Return the code of a function and the identities of the variables and defaults that it uses."""
-    used = (*(getattr(make, "__closure__", None) or ()), *(getattr(make, "__defaults__", None) or ()))
-    return getattr(make, "__code__", make), tuple(map(id, used))
-
-
 class HighwayVecEnv(LockStepVecEnv):
     """highway-env's own environments, compiled, as a Stable-Baselines3 `VecEnv`.
 
@@ -167,10 +139,10 @@ class HighwayVecEnv(LockStepVecEnv):
 
         make_vec_env("highway-fast-v0", n_envs=64, vec_env_cls=HighwayVecEnv)
 
-    The first of the functions makes the environment that tells which one, in which configuration, all of them are. A
-    `TimeLimit` and a `Monitor` around it apply to every sub-environment. If the monitor writes a file, it contains the
-    episodes of all of them. Further functions are called only if they might make another environment than the first;
-    those of `make_vec_env` differ in their seeds alone.
+    The environment of the first function shows which one, in which configuration, all of them make. A `TimeLimit` and a
+    `Monitor` around it apply to every sub-environment. If the monitor writes a file, it contains the episodes of all of
+    them. Further functions are called only if they might make another environment than the first; those of
+    `make_vec_env` differ in their seeds alone.
 
     Args:
         env_fns: functions that make the same environment of highway-env, at least one.
@@ -193,13 +165,14 @@ class HighwayVecEnv(LockStepVecEnv):
             raise InputError(f"The compiled environments do not have the {method} of this environment; use DummyVecEnv")
         limits = [wrapper._max_episode_steps for wrapper in wrappers if isinstance(wrapper, TimeLimit)]  # noqa: SLF001
         self._monitor = next((wrapper for wrapper in wrappers if isinstance(wrapper, Monitor)), None)
-        self._returns, self._lengths = np.zeros(len(env_fns)), np.zeros(len(env_fns), dtype=np.int64)
-        self._made = {"spec": single.spec, "config": single.unwrapped.config}
+        self._returns = np.zeros(len(env_fns))
+        self._lengths = np.zeros(len(env_fns), dtype=np.int64)
+        self._attributes = {"spec": single.spec, "config": single.unwrapped.config}
         super().__init__(
             vector_env(
                 type(single.unwrapped),
                 num_envs=len(env_fns),
-                config=self._made["config"],
+                config=self._attributes["config"],
                 autoreset_mode=AutoresetMode.SAME_STEP,
                 max_episode_steps=min(limits, default=None),
             )
@@ -227,7 +200,7 @@ class HighwayVecEnv(LockStepVecEnv):
             self._returns[dones] = self._lengths[dones] = 0
         return observations, rewards, dones, infos
 
-    def _listed(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+    def _infos_while_running(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
         return _rows(infos, {"TimeLimit.truncated": False})
 
     def _episode(self, monitor: Monitor, b: int, info: dict[str, Any]) -> dict[str, Any]:
@@ -247,53 +220,14 @@ class HighwayVecEnv(LockStepVecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return an attribute that all sub-environments share, such as copies of their `spec` or `config`."""
-        if attr_name in self._made:
-            return [copy.deepcopy(self._made[attr_name]) for _ in self._get_indices(indices)]
+        if attr_name in self._attributes:
+            return [copy.deepcopy(self._attributes[attr_name]) for _ in self._get_indices(indices)]
         return super().get_attr(attr_name, indices)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
         """Return whether each sub-environment behaves as if it had a wrapper, such as `Monitor`."""
         is_wrapped = self._monitor is not None and issubclass(Monitor, wrapper_class)
         return [is_wrapped for _ in self._get_indices(indices)]
-
-
-def _wrappers(env: gymnasium.Env[Any, Any]) -> list[gymnasium.Wrapper[Any, Any, Any, Any]]:
-    found = []
-    while isinstance(env, gymnasium.Wrapper):
-        if type(env) not in _KNOWN_WRAPPERS:
-            raise InputError(
-                f"The compiled environments have no counterpart of the wrapper {type(env).__name__}; use DummyVecEnv, "
-                f"or a VecEnvWrapper around them"
-            )
-        found.append(env)
-        env = env.env
-    return found
-
-
-def _rows(infos: dict[str, Any], more: dict[str, Any] | None = None) -> list[dict[str, Any]]:
-    """Return the info of each sub-environment from infos in gymnasium's vector format.
-
-    Entries that some sub-environments do not have are left out.
-    """
-    columns = {
-        key: _rows(values) if isinstance(values, dict) else _listed(values)
-        for key, values in infos.items()
-        if not key.startswith("_") and infos[f"_{key}"].all()
-    }
-    return [dict(zip(columns, row, strict=True)) | (more or {}) for row in zip(*columns.values(), strict=True)]
-
-
-def _listed(values: Array) -> list[Any]:
-    return list(values) if values.ndim > 1 else values.tolist()
-
-
-def _of_one(infos: dict[str, Any], b: int, leave_out: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Return the info of one sub-environment from infos in gymnasium's vector format."""
-    return {
-        key: _of_one(values, b) if isinstance(values, dict) else values[b]
-        for key, values in infos.items()
-        if not key.startswith("_") and key not in leave_out and infos[f"_{key}"][b]
-    }
 
 
 class ScenarioVecEnv(LockStepVecEnv):
@@ -332,7 +266,7 @@ class ScenarioVecEnv(LockStepVecEnv):
         """Take the stored actions and return the observations, rewards, dones and infos."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
-        listed = self._listed(infos)
+        listed = self._infos_while_running(infos)
         for b in np.flatnonzero(dones).tolist():
             trace = infos["trace"][b]
             listed[b] = {
@@ -357,6 +291,80 @@ class ScenarioVecEnv(LockStepVecEnv):
         if attr_name == "scenario":
             return [self.scenarios[b] for b in self._get_indices(indices)]
         return super().get_attr(attr_name, indices)
+
+
+def _check_alike(single: gymnasium.Env[Any, Any], env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]]) -> None:
+    """Check that functions make the same environment as the first of them, which has made `single`.
+
+    Raises:
+        InputError: if one makes another.
+    """
+    if all(getattr(make, "__module__", None) == make_vec_env.__module__ for make in env_fns):
+        return  # those of one `make_vec_env` differ in their seeds alone
+    made: Any = single.unwrapped
+    for i, make in enumerate(env_fns[1:], 1):
+        if _program(make) == _program(env_fns[0]):
+            continue
+        other: Any = make()
+        differs = type(other.unwrapped) is not type(made) or _config_text(other) != _config_text(single)
+        other.close()
+        if differs:
+            raise InputError(
+                f"env_fns[{i}] makes another environment than env_fns[0], or configures it otherwise; use DummyVecEnv"
+            )
+
+
+def _config_text(env: Any) -> str:
+    """Return the configuration of an environment as a text, since its values may be arrays."""
+    return repr(sorted(env.unwrapped.config.items()))
+
+
+def _program(make: Any) -> tuple[Any, ...]:
+    """Return the code of a function and the identities of the variables and defaults that it uses."""
+    cells = getattr(make, "__closure__", None) or ()
+    defaults = getattr(make, "__defaults__", None) or ()
+    # Functions of the same code on the same objects do the same. With other objects, environments are compared.
+    return getattr(make, "__code__", make), tuple(map(id, (*cells, *defaults)))
+
+
+def _wrappers(env: gymnasium.Env[Any, Any]) -> list[gymnasium.Wrapper[Any, Any, Any, Any]]:
+    """Return the wrappers around an environment, the outermost first."""
+    found = []
+    while isinstance(env, gymnasium.Wrapper):
+        if type(env) not in _KNOWN_WRAPPERS:
+            raise InputError(
+                f"The compiled environments have no counterpart of the wrapper {type(env).__name__}; use DummyVecEnv, "
+                f"or a VecEnvWrapper around them"
+            )
+        found.append(env)
+        env = env.env
+    return found
+
+
+def _rows(infos: dict[str, Any], more: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+    """Return the info of each sub-environment, with `more`, from infos in gymnasium's vector format.
+
+    Entries that some sub-environments do not have are left out.
+    """
+    columns = {
+        key: _rows(values) if isinstance(values, dict) else _items(values)
+        for key, values in infos.items()
+        if not key.startswith("_") and infos[f"_{key}"].all()
+    }
+    return [dict(zip(columns, row, strict=True)) | (more or {}) for row in zip(*columns.values(), strict=True)]
+
+
+def _items(values: Array) -> list[Any]:
+    return list(values) if values.ndim > 1 else values.tolist()
+
+
+def _of_one(infos: dict[str, Any], b: int, leave_out: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Return the info of one sub-environment from infos in gymnasium's vector format, without the keys `leave_out`."""
+    return {
+        key: _of_one(values, b) if isinstance(values, dict) else values[b]
+        for key, values in infos.items()
+        if not key.startswith("_") and key not in leave_out and infos[f"_{key}"][b]
+    }
 
 
 def _observation_of(observations: Any, b: int) -> Any:

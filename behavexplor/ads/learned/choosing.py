@@ -1,4 +1,4 @@
-"""Decisions for the outputs of a policy's network, which are the preferences of its actions.
+"""Decisions for the outputs of a policy's network, the preferences of its actions; and the tracker that follows them.
 
 The probabilities of the actions are the softmax of the preferences. PPO and similar algorithms train a policy that
 draws its actions with them. Drawn several times a second, the accelerations average out, so the deterministic driver
@@ -36,52 +36,6 @@ MEAN, MOST_PROBABLE, DRAWN = 0, 1, 2  # ways to choose
 ACCELERATION_TABLE: Final = np.array(ACCELERATIONS)
 
 
-@kernel_inner
-def begin(course: Course, scene: Floats, memory: Floats) -> None:
-    """Begin an episode: the ego wants its route's lane, and drives from where it stands."""
-    memory[WANTED] = 0.0
-    memory[DRIVEN] = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])[1]
-    memory[STARTED] = 1.0
-
-
-@kernel_inner
-def track(course: Course, scene: Floats, wanted: float, choice: int, memory: Floats) -> tuple[float, float]:
-    """Return acceleration [m/s2] and steering angle [rad] for a decision; `memory` is changed in place."""
-    station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
-    row = row_at(course.path, station)
-    _choose_lane(course, row, offset, choice, memory)
-    change = SIDEWAYS * PERIOD * min(scene[EGO, SPEED] / 4.0, 1.0)
-    memory[DRIVEN] += min(max(memory[WANTED] - memory[DRIVEN], -change), change)
-    acceleration = _accelerate(course, scene, station, wanted)
-    return acceleration, steer(course.path, scene, station, memory[DRIVEN])
-
-
-@kernel_inner
-def _choose_lane(course: Course, row: int, offset: float, choice: int, memory: Floats) -> None:
-    """Choose the lane beside if it exists; near a junction, only the lane of the route."""
-    if course.side_by_side[row] < LAST_CHANGE:
-        if course.path.junction_start < math.inf:
-            memory[WANTED] = 0.0
-        return
-    left, right = lanes_beside(course, row, offset)
-    center = course.path.lane_width * round(offset / course.path.lane_width)
-    if choice == LEFT and left > 0:
-        memory[WANTED] = center - course.path.lane_width
-    elif choice == RIGHT and right > 0:
-        memory[WANTED] = center + course.path.lane_width
-    elif choice == HOME:
-        memory[WANTED] = 0.0
-
-
-@kernel_inner
-def _accelerate(course: Course, scene: Floats, station: float, wanted: float) -> float:
-    """Limit the acceleration so that the ego keeps the speed limit, in curves too, and never reverses."""
-    speed: float = scene[EGO, SPEED]
-    limit: float = limit_at(course.path, station + speed * PERIOD)
-    wanted = min(wanted, max((limit - speed) / PERIOD, -3.0))
-    return max(wanted, -speed / PERIOD, ACCELERATION_RANGE[0])
-
-
 class Decisions(NamedTuple):
     """Decisions of a batch of egos."""
 
@@ -100,6 +54,9 @@ def choose(preferences: Floats, accelerations: Floats, how: int, share: float) -
 
     By `MEAN`, it is the mean acceleration and the most probable lane choice; by `MOST_PROBABLE`, the first most
     probable action; by `DRAWN`, the one at `share` of the cumulative probabilities, in [0, 1).
+
+    `preferences` are the outputs of the network, shape (N_ACTIONS,), and `accelerations` those of the actions of one
+    lane choice, shape (N_ACTIONS / N_LANE_CHOICES,) [m/s2].
     """
     if how == MEAN:
         return _average(preferences, accelerations)
@@ -146,3 +103,53 @@ def _greatest(preferences: Floats) -> int:
         if preferences[i] > preferences[best]:
             best = i
     return best
+
+
+@kernel_inner
+def begin(course: Course, scene: Floats, memory: Floats) -> None:
+    """Begin an episode: the ego wants its route's lane, and drives from where it stands."""
+    memory[WANTED] = 0.0
+    memory[DRIVEN] = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])[1]
+    memory[STARTED] = 1.0
+
+
+@kernel_inner
+def track(course: Course, scene: Floats, wanted: float, choice: int, memory: Floats) -> tuple[float, float]:
+    """Return acceleration [m/s2] and steering angle [rad] for a decision.
+
+    It is the `wanted` acceleration [m/s2] and a lane choice. The scene has the shape (1 + n, 8), see
+    `behavexplor.data.scene`, and the ego's memory, shape (N_MEMORIES,), is changed in place.
+    """
+    station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
+    row = row_at(course.path, station)
+    _choose_lane(course, row, offset, choice, memory)
+    change = SIDEWAYS * PERIOD * min(scene[EGO, SPEED] / 4.0, 1.0)
+    memory[DRIVEN] += min(max(memory[WANTED] - memory[DRIVEN], -change), change)
+    acceleration = _accelerate(course, scene, station, wanted)
+    return acceleration, steer(course.path, scene, station, memory[DRIVEN])
+
+
+@kernel_inner
+def _choose_lane(course: Course, row: int, offset: float, choice: int, memory: Floats) -> None:
+    """Choose the lane beside if it exists; near a junction, only the lane of the route."""
+    if course.side_by_side[row] < LAST_CHANGE:
+        if course.path.junction_start < math.inf:
+            memory[WANTED] = 0.0
+        return
+    left, right = lanes_beside(course, row, offset)
+    center = course.path.lane_width * round(offset / course.path.lane_width)
+    if choice == LEFT and left > 0:
+        memory[WANTED] = center - course.path.lane_width
+    elif choice == RIGHT and right > 0:
+        memory[WANTED] = center + course.path.lane_width
+    elif choice == HOME:
+        memory[WANTED] = 0.0
+
+
+@kernel_inner
+def _accelerate(course: Course, scene: Floats, station: float, wanted: float) -> float:
+    """Limit the acceleration so that the ego keeps the speed limit, in curves too, and never reverses."""
+    speed: float = scene[EGO, SPEED]
+    limit: float = limit_at(course.path, station + speed * PERIOD)
+    wanted = min(wanted, max((limit - speed) / PERIOD, -3.0))
+    return max(wanted, -speed / PERIOD, ACCELERATION_RANGE[0])

@@ -22,6 +22,123 @@ _CACHE_LINE: Final = 64  # bytes
 POLICY_FREQUENCY: Final = round(1 / choosing.PERIOD)
 
 
+class LearnedDriver:
+    """A driver whose network sees conflicts and gaps and chooses an acceleration and a lane, which a tracker follows.
+
+    Args:
+        roadmap: road map with the ego's route.
+        network: network whose outputs are the preferences of the actions. Between two layers tanh is applied.
+
+    Raises:
+        InputError: if the layers do not fit each other, or the numbers of features and actions.
+    """
+
+    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = POLICY_FREQUENCY  # decisions per second, 5 Hz
+    vectorized: bool = True  # each row is decided independently
+    noise: int = 1  # see `behavexplor.ads.interface.StochasticADS`
+
+    def __init__(self, roadmap: RoadMap, network: TrainedNetwork) -> None:
+        self._course = make_course(roadmap)
+        widths = [N_FEATURES, *(len(bias) for _, bias in network.layers)]
+        shapes = [(weights.shape, bias.shape) for weights, bias in network.layers]
+        expected = [((after, before), (after,)) for before, after in pairwise(widths)]
+        if shapes != expected or widths[-1] != choosing.N_ACTIONS:
+            raise InputError(
+                f"Expected a network of {N_FEATURES} inputs and {choosing.N_ACTIONS} outputs, got {shapes}"
+            )
+        self._network = as_network(network.layers)
+        self._rule = choosing.MEAN if network.rule == "mean" else choosing.MOST_PROBABLE
+        self._widest = max(widths)
+        scenes = np.zeros((1, 1, N_COLUMNS))
+        memory = np.zeros((1, choosing.N_MEMORIES))
+        rooms = np.empty((2, 1, self._widest))
+        rows = np.empty(1, dtype=np.int64)
+        tables = (self._course, self._network, choosing.ACCELERATION_TABLE)
+        self._drive_all: Any = compiled_for(
+            _drive_all, *tables, scenes, memory, self._rule, np.zeros(1), rooms, rows, np.zeros((1, 2))
+        )
+
+    def predict(
+        self,
+        observation: Floats,
+        state: Floats | None = None,
+        episode_start: Bools | None = None,
+        deterministic: bool = True,  # noqa: ARG002 - `draw` draws
+    ) -> tuple[Floats, Floats]:
+        """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
+
+        Scenes have the shape (B, 1 + n, 8), see `behavexplor.data.scene`, and the state (B, 3). Actions, acceleration
+        and steering, are in [-1, 1], shape (B, 2). Nothing is drawn.
+
+        Raises:
+            InputError: if an array has the wrong shape.
+        """
+        return self._drive(observation, state, episode_start, None)
+
+    def draw(
+        self, observation: Floats, state: Floats | None, episode_start: Bools | None, noise: Floats
+    ) -> tuple[Floats, Floats]:
+        """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
+        return self._drive(observation, state, episode_start, np.array(noise[:, 0], dtype=np.float64))
+
+    def log(self, state: Floats) -> Mapping[str, Floats]:
+        """Return the offset of the ego's wanted lane from the route [m], shape (B,)."""
+        return {"wanted_offset": state[:, choosing.WANTED]}
+
+    def _drive(
+        self, observation: Floats, state: Floats | None, episode_start: Bools | None, shares: Floats | None
+    ) -> tuple[Floats, Floats]:
+        """Return the actions, shape (B, 2), and the memory. The action of an absent ego is 0.
+
+        `shares` in [0, 1), shape (B,), draw the actions; None for the network's own rule.
+        """
+        scenes = as_scenes(observation)
+        memory = as_memory(state, episode_start, (len(scenes), choosing.N_MEMORIES))
+        rule = choosing.DRAWN
+        if shares is None:
+            rule, shares = self._rule, np.zeros(len(scenes))
+        rooms = np.empty((2, len(scenes), self._widest))
+        rows = np.empty(len(scenes), dtype=np.int64)
+        actions = np.zeros((len(scenes), 2))
+        tables = (self._course, self._network, choosing.ACCELERATION_TABLE)
+        self._drive_all(*tables, scenes, memory, rule, shares, rooms, rows, actions)
+        return actions, memory
+
+
+class CourseKernels:
+    """What policies see of a batch of scenes, and the commands for their decisions, computed by machine code."""
+
+    def __init__(self, course: Course) -> None:
+        self._course = course
+        scenes = np.zeros((1, 1, N_COLUMNS))
+        memory = np.zeros((1, choosing.N_MEMORIES))
+        seen = np.zeros((1, N_FEATURES))
+        decisions = choosing.Decisions(np.zeros(1), np.zeros(1, dtype=np.int64))
+        self._see_all = compiled_for(_see_all, course, scenes, memory, seen)
+        self._track_all = compiled_for(_track_all, course, scenes, decisions, memory, np.zeros((1, 2)))
+
+    def see(self, scenes: Floats, memory: Floats) -> Floats:
+        """Compute the features that policies see, shape (B, N_FEATURES).
+
+        Scenes, shape (B, 1 + n, 8), and memory, shape (B, 3), are contiguous. A row of zeros in the memory begins an
+        episode; the memory is changed in place.
+        """
+        seen = np.zeros((len(scenes), N_FEATURES))
+        self._see_all(self._course, scenes, memory, seen)
+        return seen
+
+    def track(self, scenes: Floats, decisions: choosing.Decisions, memory: Floats) -> Floats:
+        """Compute the commands for policies' decisions, shape (B, 2), each in [-1, 1] over its range.
+
+        Scenes, shape (B, 1 + n, 8), and memory, shape (B, 3), are contiguous; the memory is changed in place.
+        """
+        actions = np.zeros((len(scenes), 2))
+        self._track_all(self._course, scenes, decisions, memory, actions)
+        return actions
+
+
 class DenseNetwork(NamedTuple):
     """The numbers of all layers in flat arrays, for any number of layers."""
 
@@ -52,29 +169,91 @@ def _aligned(values: Floats) -> Floats:
     return copy
 
 
+@kernel_in_place
+def _drive_all(  # noqa: PLR0913, PLR0917 - a tuple of them would be copied in each call
+    course: Course,
+    network: DenseNetwork,
+    accelerations: Floats,
+    scenes: Floats,
+    memory: Floats,
+    rule: int,
+    shares: Floats,
+    rooms: Floats,
+    rows: Ints,
+    actions: Floats,
+) -> None:
+    """Fill in the actions of the egos that are present, shape (B, 2), each in [-1, 1].
+
+    `rooms`, see `evaluate`, and `rows`, shape (B,), are for intermediate results.
+    """
+    count = 0
+    for i in range(len(scenes)):
+        if scenes[i, EGO, PRESENT] != 0.0:
+            _see(course, scenes[i], memory[i], rooms[0, i, :N_FEATURES])
+            rows[count] = i
+            count += 1
+    outputs = evaluate(network, rooms, rows[:count])
+    for i in rows[:count]:
+        wanted, lane = choosing.choose(rooms[outputs, i, : choosing.N_ACTIONS], accelerations, rule, shares[i])
+        _track(course, scenes[i], wanted, lane, memory[i], actions[i])
+
+
+@kernel_in_place
+def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> None:
+    """Fill in what the egos that are present see, shape (B, N_FEATURES)."""
+    for i in range(len(scenes)):
+        if scenes[i, EGO, PRESENT] != 0.0:
+            _see(course, scenes[i], memory[i], seen[i])
+
+
+@kernel_in_place
+def _track_all(course: Course, scenes: Floats, decisions: choosing.Decisions, memory: Floats, actions: Floats) -> None:
+    """Fill in the actions of the egos that are present for decisions of policies, shape (B, 2), each in [-1, 1]."""
+    for i in range(len(scenes)):
+        if scenes[i, EGO, PRESENT] != 0.0:
+            _track(course, scenes[i], decisions.accelerations[i], decisions.lanes[i], memory[i], actions[i])
+
+
+@kernel_inner
+def _see(course: Course, scene: Floats, memory: Floats, seen: Floats) -> None:
+    """Fill in what an ego sees, after its memory has been begun if it is one of zeros."""
+    if memory[choosing.STARTED] == 0.0:
+        choosing.begin(course, scene, memory)
+    see(course, scene, memory[choosing.WANTED], seen)
+
+
+@kernel_inner
+def _track(course: Course, scene: Floats, wanted: float, lane: int, memory: Floats, action: Floats) -> None:
+    """Fill in an ego's action for its wanted acceleration [m/s2] and its lane choice."""
+    acceleration, steering = choosing.track(course, scene, wanted, lane, memory)
+    fill_action(acceleration, steering, action)
+
+
 @kernel_inner
 def evaluate(network: DenseNetwork, rooms: Floats, rows: Ints) -> int:
-    """Compute a network's outputs for some rows, shape (n,), and return their index in `rooms`.
+    """Compute the outputs of a network for some rows, shape (n,), and return the index of the outputs in `rooms`.
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
 
-    `rooms`, shape (2, B, greatest width), has the inputs first, and room for other layers.
+    `rooms`, shape (2, B, greatest width), is changed in place: the inputs are `rooms[0]`, the rest is for other layers.
     """
-    weight, bias, now = 0, 0, 0
+    weight_at, bias_at, now = 0, 0, 0  # where the layer begins in weights and biases, and which room has its inputs
     for layer in range(len(network.widths) - 1):
         before, width = network.widths[layer], network.widths[layer + 1]
         for row in rows:
             if layer > 0:
                 _squash(rooms[now, row], before)
             for j in range(width):
-                rooms[1 - now, row, j] = network.biases[bias + j]
-        _add_up(network.weights[weight : weight + before * width], rooms[now], before, rooms[1 - now], width, rows)
-        weight, bias, now = weight + before * width, bias + width, 1 - now
+                rooms[1 - now, row, j] = network.biases[bias_at + j]
+        weights = network.weights[weight_at : weight_at + before * width]
+        _add_up(weights, rooms[now], before, rooms[1 - now], width, rows)
+        weight_at, bias_at, now = weight_at + before * width, bias_at + width, 1 - now
     return now
 
 
 @kernel_inner
 def _squash(values: Floats, count: int) -> None:
+    """Apply tanh to the first values of a row, in place."""
     for i in range(count):
         values[i] = math.tanh(values[i])
 
@@ -106,166 +285,3 @@ def _add_eight(block: Floats, x: Floats, into: Floats) -> None:
     for j in range(len(into)):  # one input after the other: the last bits do not depend on how many are added at a time
         first = into[j] + a[j] * p + b[j] * q + c[j] * r + d[j] * s
         into[j] = first + e[j] * t + f[j] * u + g[j] * v + h[j] * w
-
-
-class LearnedDriver:
-    """A driver whose network sees conflicts and gaps and chooses an acceleration and a lane, which a tracker follows.
-
-    Args:
-        roadmap: road map with the ego's route.
-        network: network whose outputs are the preferences of the actions. Between two layers tanh is applied.
-
-    Raises:
-        InputError: if the layers do not fit each other, or the numbers of features and actions.
-    """
-
-    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
-    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
-    policy_frequency: int = POLICY_FREQUENCY  # decisions per second, 5 Hz
-    vectorized: bool = True  # True, because each row is decided independently
-    noise: int = 1  # see `behavexplor.ads.interface.StochasticADS`
-
-    def __init__(self, roadmap: RoadMap, network: TrainedNetwork) -> None:
-        self._course = make_course(roadmap)
-        widths = [N_FEATURES, *(len(bias) for _, bias in network.layers)]
-        shapes = [(weights.shape, bias.shape) for weights, bias in network.layers]
-        expected = [((after, before), (after,)) for before, after in pairwise(widths)]
-        if shapes != expected or widths[-1] != choosing.N_ACTIONS:
-            raise InputError(
-                f"Expected a network of {N_FEATURES} inputs and {choosing.N_ACTIONS} outputs, got {shapes}"
-            )
-        self._network = as_network(network.layers)
-        self._how = choosing.MEAN if network.rule == "mean" else choosing.MOST_PROBABLE
-        self._widest = max(widths)
-        scenes, memory, shares = np.zeros((1, 1, N_COLUMNS)), np.zeros((1, choosing.N_MEMORIES)), np.zeros(1)
-        rooms, rows, actions = np.empty((2, 1, self._widest)), np.empty(1, dtype=np.int64), np.zeros((1, 2))
-        tables = (self._course, self._network, choosing.ACCELERATION_TABLE)
-        self._drive_all: Any = compiled_for(
-            _drive_all, *tables, scenes, memory, self._how, shares, rooms, rows, actions
-        )
-
-    def predict(
-        self,
-        observation: Floats,
-        state: Floats | None = None,
-        episode_start: Bools | None = None,
-        deterministic: bool = True,  # noqa: ARG002 - `draw` draws
-    ) -> tuple[Floats, Floats]:
-        """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
-
-        Raises:
-            InputError: if an array has the wrong shape.
-        """
-        return self._drive(observation, state, episode_start, None)
-
-    def draw(
-        self, observation: Floats, state: Floats | None, episode_start: Bools | None, noise: Floats
-    ) -> tuple[Floats, Floats]:
-        """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
-        return self._drive(observation, state, episode_start, np.array(noise[:, 0], dtype=np.float64))
-
-    def log(self, state: Floats) -> Mapping[str, Floats]:
-        """Return the offset of the ego's wanted lane from the route [m], shape (B,)."""
-        return {"wanted_offset": state[:, choosing.WANTED]}
-
-    def _drive(
-        self, observation: Floats, state: Floats | None, episode_start: Bools | None, shares: Floats | None
-    ) -> tuple[Floats, Floats]:
-        """Return the actions, shape (B, 2), and the memory; `shares` in [0, 1), shape (B,), draw actions.
-
-        Without shares, the network's own rule decides. The action of an absent ego is 0.
-        """
-        scenes = as_scenes(observation)
-        memory = as_memory(state, episode_start, (len(scenes), choosing.N_MEMORIES))
-        how, shares = (self._how, np.zeros(len(scenes))) if shares is None else (choosing.DRAWN, shares)
-        rooms, rows = np.empty((2, len(scenes), self._widest)), np.empty(len(scenes), dtype=np.int64)
-        actions = np.zeros((len(scenes), 2))
-        tables = (self._course, self._network, choosing.ACCELERATION_TABLE)
-        self._drive_all(*tables, scenes, memory, how, shares, rooms, rows, actions)
-        return actions, memory
-
-
-class CourseKernels:
-    """What policies see of a batch of scenes, and the commands for their decisions, computed by machine code."""
-
-    def __init__(self, course: Course) -> None:
-        self._course = course
-        scenes, memory, seen = (
-            np.zeros((1, 1, N_COLUMNS)),
-            np.zeros((1, choosing.N_MEMORIES)),
-            np.zeros((1, N_FEATURES)),
-        )
-        decisions = choosing.Decisions(np.zeros(1), np.zeros(1, dtype=np.int64))
-        self._see_all = compiled_for(_see_all, course, scenes, memory, seen)
-        self._track_all = compiled_for(_track_all, course, scenes, decisions, memory, np.zeros((1, 2)))
-
-    def see(self, scenes: Floats, memory: Floats) -> Floats:
-        """Compute the features that policies see, shape (B, N_FEATURES).
-
-        Scenes and memory are contiguous. A row of zeros in the memory begins an episode; it is changed in place.
-        """
-        seen = np.zeros((len(scenes), N_FEATURES))
-        self._see_all(self._course, scenes, memory, seen)
-        return seen
-
-    def track(self, scenes: Floats, decisions: choosing.Decisions, memory: Floats) -> Floats:
-        """Compute the commands for policies' decisions, shape (B, 2), each in [-1, 1] over its range.
-
-        Scenes and memory are contiguous; the memory is changed in place.
-        """
-        actions = np.zeros((len(scenes), 2))
-        self._track_all(self._course, scenes, decisions, memory, actions)
-        return actions
-
-
-@kernel_in_place
-def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> None:
-    for i in range(len(scenes)):
-        if scenes[i, EGO, PRESENT] != 0.0:
-            _see(course, scenes[i], memory[i], seen[i])
-
-
-@kernel_in_place
-def _drive_all(  # noqa: PLR0913, PLR0917 - a tuple of them would be copied in each call
-    course: Course,
-    network: DenseNetwork,
-    accelerations: Floats,
-    scenes: Floats,
-    memory: Floats,
-    how: int,
-    shares: Floats,
-    rooms: Floats,
-    rows: Ints,
-    actions: Floats,
-) -> None:
-    """Fill in the actions of the egos that are present. `rooms` and `rows` are for intermediate results."""
-    count = 0
-    for i in range(len(scenes)):
-        if scenes[i, EGO, PRESENT] != 0.0:
-            _see(course, scenes[i], memory[i], rooms[0, i, :N_FEATURES])
-            rows[count] = i
-            count += 1
-    outputs = evaluate(network, rooms, rows[:count])
-    for i in rows[:count]:
-        wanted, lane = choosing.choose(rooms[outputs, i, : choosing.N_ACTIONS], accelerations, how, shares[i])
-        _track(course, scenes[i], wanted, lane, memory[i], actions[i])
-
-
-@kernel_inner
-def _see(course: Course, scene: Floats, memory: Floats, seen: Floats) -> None:
-    if memory[choosing.STARTED] == 0.0:
-        choosing.begin(course, scene, memory)
-    see(course, scene, memory[choosing.WANTED], seen)
-
-
-@kernel_in_place
-def _track_all(course: Course, scenes: Floats, decisions: choosing.Decisions, memory: Floats, actions: Floats) -> None:
-    for i in range(len(scenes)):
-        if scenes[i, EGO, PRESENT] != 0.0:
-            _track(course, scenes[i], decisions.accelerations[i], decisions.lanes[i], memory[i], actions[i])
-
-
-@kernel_inner
-def _track(course: Course, scene: Floats, wanted: float, lane: int, memory: Floats, action: Floats) -> None:
-    acceleration, steering = choosing.track(course, scene, wanted, lane, memory)
-    fill_action(acceleration, steering, action)

@@ -43,8 +43,8 @@ def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
     as times, and as distances; speed of the other vehicle; time of the ego to the conflict; acceleration of the other
     vehicle.
 
-    The ego's wanted lane is at the offset `wanted` from the route [m], positive to the right. `out` has the shape
-    (N_FEATURES,).
+    The scene has the shape (1 + n, 8), see `behavexplor.data.scene`. The ego's wanted lane is at the offset `wanted`
+    from the route [m], positive to the right. `out` has the shape (N_FEATURES,).
     """
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     out[:] = 0.0

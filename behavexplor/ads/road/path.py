@@ -18,6 +18,8 @@ from behavexplor.jit import kernel_inner
 SPACING: Final = 1.0  # distance between the stations of the tables of limits and neighboring lanes [m]
 LATERAL_ACCELERATION: Final = 2.5  # greatest lateral acceleration in curves [m/s2]
 APPROACH_BRAKING: Final = 2.0  # deceleration before curves [m/s2]
+LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
+LOOK_AHEAD_TIME: Final = 0.3  # growth of that distance with speed [s]
 
 
 class Path(NamedTuple):
@@ -41,7 +43,11 @@ class Path(NamedTuple):
 def ego_path(
     roadmap: RoadMap, lateral_acceleration: float = LATERAL_ACCELERATION, approach_braking: float = APPROACH_BRAKING
 ) -> Path:
-    """Make the ego's path, whose limits of speed keep lateral acceleration and braking before curves [m/s2]."""
+    """Make the ego's path from its route and the lanes beside it.
+
+    Its limits of speed are such that the lateral acceleration in curves, and the braking before them, are at most the
+    given ones [m/s2].
+    """
     route = roadmap.ego_route
     inside = [i for i, lane in enumerate(route.lanes) if lane.junction]
     lanes = _joined(route.lanes)
@@ -197,10 +203,6 @@ def point_beside(path: Path, station: float, offset: float) -> tuple[float, floa
     """Return the point at a station and an offset."""
     x, y, heading = pose_on_path(path, station)
     return x - offset * math.sin(heading), y + offset * math.cos(heading)
-
-
-LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
-LOOK_AHEAD_TIME: Final = 0.3  # growth of that distance with speed [s]
 
 
 @kernel_inner

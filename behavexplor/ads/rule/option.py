@@ -31,7 +31,10 @@ RESPONSE: Final = 0.3  # time in which the free speed is reached [s]
 
 @kernel_inner
 def plan_speed(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
-    """Plan the speed along the path: drive freely if possible, else search for the best motion, else escape."""
+    """Plan the speed along the path: drive freely if possible, else search for the best motion, else escape.
+
+    `acceleration` is the last one that was commanded [m/s2]; `nodes` are working space.
+    """
     plan = _drive_freely(situation, station, speed)
     if plan.survived == N_INTERVALS and plan.risk == 0.0 and plan.inside == 0.0:
         return plan

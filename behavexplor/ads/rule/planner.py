@@ -38,6 +38,73 @@ _LOGGED: Final = ("decision", "maneuver", "lane", "survived", "reached", "trigge
 _STORED_NAMES: Final = MappingProxyType({"maneuver": "manoeuvre"})  # the key in stored traces
 
 
+class RulePlanner:
+    """A planner of rules and search that drives the ego's route among other vehicles."""
+
+    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = round(1 / PERIOD)  # decisions per second, 10 Hz
+    vectorized: bool = True
+
+    def __init__(self, roadmap: RoadMap, parameters: Parameters = Parameters()) -> None:  # noqa: B008
+        self.roadmap = roadmap
+        self.parameters = parameters
+        self._path = ego_path(roadmap, parameters.lateral_acceleration, parameters.approach_braking)
+        self._graph = lane_graph(roadmap, self._path)
+        self._numbers = numbers(parameters)
+        scenes, memories = np.zeros((1, 1, N_COLUMNS)), as_records(np.zeros((1, N_MEMORIES)))
+        self._plan_batch: Any = compiled_for(
+            _plan_batch, self._path, self._graph, scenes, memories, self._numbers, np.empty((1, 2))
+        )
+
+    def predict(
+        self,
+        observation: Floats,
+        state: Floats | None = None,
+        episode_start: Bools | None = None,
+        deterministic: bool = True,  # noqa: ARG002
+    ) -> tuple[Floats, Floats]:
+        """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
+
+        Scenes have the shape (B, 1 + n, 8), see `behavexplor.data.scene`, and the state (B, N_MEMORIES). Actions,
+        acceleration and steering, are in [-1, 1], shape (B, 2). The planner is always deterministic.
+
+        Raises:
+            InputError: if an array has the wrong shape.
+        """
+        scenes = as_scenes(observation)
+        rows = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
+        actions = np.empty((len(scenes), 2))
+        self._plan_batch(self._path, self._graph, scenes, as_records(rows), self._numbers, actions)
+        return actions, rows
+
+    def log(self, state: Floats) -> Mapping[str, Floats]:
+        """Return the last decisions, from the state that `predict` returned.
+
+        Arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
+        `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's lane and 1 the next to the right; `survived`,
+        the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the weaknesses, see
+        `behavexplor.data.trace.weakness_names`.
+        """
+        memories = as_records(np.ascontiguousarray(state))
+        return {_STORED_NAMES.get(name, name): memories[name] for name in _LOGGED}
+
+
+@kernel
+def _plan_batch(
+    path: Path, graph: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers, actions: Floats
+) -> None:
+    """Make a decision for each ego that is present, and fill in the actions of all."""
+    graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.around, graph.beside)  # the spare lane is overwritten
+    n_npcs = scenes.shape[1] - 1
+    room, nodes = empty_station_time(n_npcs), empty_nodes()
+    others = np.empty((n_npcs, N_OTHER_COLUMNS))
+    for i in range(len(scenes)):
+        if scenes[i, EGO, PRESENT] != 0.0:
+            plan_once(Surroundings(path, graph, scenes[i], others, room, nodes, p), memories[i])
+        fill_action(memories[i].last_acceleration, memories[i].last_steering, actions[i])
+
+
 @kernel_inner
 def plan_once(world: Surroundings, memory: Memory) -> None:
     """Make one decision, and leave its commands in the memory."""
@@ -205,67 +272,3 @@ def _settle(world: Surroundings, ego: lane_choice.EgoState, option: Option, memo
     at_once = memory.decision == EMERGENCY or acceleration < -p.firm_braking
     memory.last_acceleration = accelerate(acceleration, memory.last_acceleration, ego.speed, at_once, p)
     memory.last_steering = steer(path, option.profile, world.scene, ego.station, memory, bits, p)
-
-
-class RulePlanner:
-    """A planner of rules and search that drives the ego's route among other vehicles."""
-
-    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
-    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
-    policy_frequency: int = round(1 / PERIOD)  # decisions per second, 10 Hz
-    vectorized: bool = True
-
-    def __init__(self, roadmap: RoadMap, parameters: Parameters = Parameters()) -> None:  # noqa: B008
-        self.roadmap = roadmap
-        self.parameters = parameters
-        self._path = ego_path(roadmap, parameters.lateral_acceleration, parameters.approach_braking)
-        self._graph = lane_graph(roadmap, self._path)
-        self._numbers = numbers(parameters)
-        scenes, memories = np.zeros((1, 1, N_COLUMNS)), as_records(np.zeros((1, N_MEMORIES)))
-        self._plan_batch: Any = compiled_for(
-            _plan_batch, self._path, self._graph, scenes, memories, self._numbers, np.empty((1, 2))
-        )
-
-    def predict(
-        self,
-        observation: Floats,
-        state: Floats | None = None,
-        episode_start: Bools | None = None,
-        deterministic: bool = True,  # noqa: ARG002
-    ) -> tuple[Floats, Floats]:
-        """Decide for a batch of egos.
-
-        Raises:
-            InputError: if an array has the wrong shape.
-        """
-        scenes = as_scenes(observation)
-        rows = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        actions = np.empty((len(scenes), 2))
-        self._plan_batch(self._path, self._graph, scenes, as_records(rows), self._numbers, actions)
-        return actions, rows
-
-    def log(self, state: Floats) -> Mapping[str, Floats]:
-        """Return the last decisions, from the state that `predict` returned.
-
-        Arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
-        `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's lane and 1 the next to the right; `survived`,
-        the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the weaknesses, see
-        `behavexplor.data.trace.weakness_names`.
-        """
-        memories = as_records(np.ascontiguousarray(state))
-        return {_STORED_NAMES.get(name, name): memories[name] for name in _LOGGED}
-
-
-@kernel
-def _plan_batch(
-    path: Path, graph: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers, actions: Floats
-) -> None:
-    """Make a decision for each ego that is present, and fill in the actions of all."""
-    graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.around, graph.beside)  # the spare lane is overwritten
-    n_npcs = scenes.shape[1] - 1
-    room, nodes = empty_station_time(n_npcs), empty_nodes()
-    others = np.empty((n_npcs, N_OTHER_COLUMNS))
-    for i in range(len(scenes)):
-        if scenes[i, EGO, PRESENT] != 0.0:
-            plan_once(Surroundings(path, graph, scenes[i], others, room, nodes, p), memories[i])
-        fill_action(memories[i].last_acceleration, memories[i].last_steering, actions[i])

@@ -321,7 +321,8 @@ class BlockwiseNetwork:
     ) -> tuple[Array, Memory | None]:
         """Return the network's actions, shape (B, ...), and its memory, arrays (layers, B, ...), None if it has none.
 
-        With `noise`, numbers in [0, 1) of shape (B, n), actions are drawn; without, they are the most probable ones.
+        With `noise`, numbers in [0, 1) of shape (B, `noise_of(network)`), actions are drawn; without, they are the most
+        probable ones. The memory is that of the last call, None at first; for `episode_start`, see `ADS.predict`.
         """
         with _LOCK, _one_thread():
             if self._actor is not None and noise is None and isinstance(observation, np.ndarray):

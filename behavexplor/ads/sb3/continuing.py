@@ -59,9 +59,10 @@ _KEPT: Final = (
 
 
 def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
-    """Build a model with the weights, the optimizer and most hyperparameters of a file.
+    """Build a model that goes on learning, with the weights, the optimizer and most hyperparameters of a file.
 
-    DQN and QR-DQN explore as at the end of their training; the file has no replay buffer.
+    The file is that of a PPO, A2C, TRPO, DQN or QR-DQN model with a feed-forward network. DQN and QR-DQN explore as at
+    the end of their training; the file has no replay buffer.
 
     Raises:
         InputError: if the model cannot go on learning, or does not fit the environment.

@@ -133,7 +133,10 @@ def named_env(env: str | None, ads: str) -> str | None:
 
 
 def trained_in(ads: str) -> str | None:
-    """Return the environment in which a policy was trained, if the files beside its model or network name it."""
+    """Return the environment in which a policy was trained, if the files beside its model or network name it.
+
+    `ads` is the name of any driving system.
+    """
     try:
         if ads.startswith("learned:") or ads.endswith(".npz"):
             return env_in_card(policy_file(ads))

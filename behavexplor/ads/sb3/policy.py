@@ -1,4 +1,4 @@
-"""A policy trained with Stable-Baselines3 as a driving system under test."""
+"""A policy trained with Stable-Baselines3 as a driving system under test, and how it sees an environment."""
 
 import logging
 from collections import OrderedDict
@@ -27,6 +27,8 @@ from behavexplor.errors import InputError, brief, sentence
 FLAT: Final = "flat"
 STACKED: Final = "stacked"  # along a new first axis, as by FrameStackObservation
 JOINED: Final = "joined"  # along the last axis, as by VecFrameStack
+_LOG = logging.getLogger(__name__)
+_MASKED: Final = "sb3_contrib.common.maskable."  # the module of policies that take masks of actions
 
 
 @dataclass(frozen=True)
@@ -45,40 +47,6 @@ class PolicyView:
         if not self.keys:
             return np.asarray(whole).reshape(len(whole), -1)
         return np.concatenate([np.asarray(whole[key]).reshape(len(whole[key]), -1) for key in self.keys], axis=1)
-
-
-def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks: bool = True) -> PolicyView | None:
-    """Return the view that makes an environment's observations those of a policy; None if none is there or needed."""
-    parts = list(given.items()) if isinstance(given, gymnasium.spaces.Dict) else [("", given)]
-    if not all(isinstance(one, gymnasium.spaces.Box) for one in (wanted, *(part for _, part in parts))):
-        return None
-    shape, shapes = wanted.shape or (), [part.shape or () for _, part in parts]
-    if len(shape) == 1 and shape[0] == sum(map(prod, shapes)) and shapes != [shape]:
-        shown = " and ".join(map(str, dict.fromkeys(shapes)))
-        said = f"The environment's observations of the shape {shown} are flattened for the policy, as in training"
-        return PolicyView(FLAT, tuple(key for key, _ in parts if key), said=said)
-    stacks = stacks and isinstance(given, gymnasium.spaces.Box)
-    return _stacking(shape, shapes[0]) if stacks and shape and shapes[0] else None
-
-
-def _stacking(shape: tuple[int, ...], own: tuple[int, ...]) -> PolicyView | None:
-    """Return the view that stacks observations of one shape so that they have another one; None if there is none."""
-    if shape[1:] == own and shape[0] > 1:
-        return PolicyView(STACKED, (), shape[0], _said(shape[0], own, f"FrameStackObservation({shape[0]})"))
-    frames = shape[-1] // max(own[-1], 1)
-    if len(own) > 1 and frames > 1 and shape == (*own[:-1], frames * own[-1]):
-        return PolicyView(JOINED, (), frames, _said(frames, own, f"VecFrameStack({frames})"))
-    return None
-
-
-def _said(frames: int, shape: tuple[int, ...], wrapper: str) -> str:
-    return (
-        f"The last {frames} observations of the shape {shape} are stacked for the policy, as by {wrapper} in training"
-    )
-
-
-_LOG = logging.getLogger(__name__)
-_MASKED: Final = "sb3_contrib.common.maskable."  # the module of policies that take masks of actions
 
 
 class Stacking(NamedTuple):
@@ -311,7 +279,10 @@ def _newest(moments: Moments, key: str, stack: Stacking) -> Moments:
 def _stacked(
     newest: Any, before: Any, episode_start: Bools | None, stack: Stacking, space: gymnasium.Space[Any]
 ) -> Any:
-    """Stack the last frames, with the newest at the end."""
+    """Stack the last frames, with the newest at the end, on those stacked `before`, None at first.
+
+    In a row that begins an episode, and at first, what stands for earlier frames is said in `Stacking.axis`.
+    """
     if isinstance(space, gymnasium.spaces.Dict):
         past = before or dict.fromkeys(space)
         return {key: _stacked(newest[key], past[key], episode_start, stack, part) for key, part in space.items()}
@@ -322,3 +293,33 @@ def _stacked(
         begins = np.asarray(episode_start, dtype=bool)
         kept[begins] = first.take(range(kept.shape[axis]), axis)[begins]
     return np.concatenate([kept, newest], axis)
+
+
+def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks: bool = True) -> PolicyView | None:
+    """Return the view that makes an environment's observations those of a policy; None if none is there or needed."""
+    parts = list(given.items()) if isinstance(given, gymnasium.spaces.Dict) else [("", given)]
+    if not all(isinstance(one, gymnasium.spaces.Box) for one in (wanted, *(part for _, part in parts))):
+        return None
+    shape, shapes = wanted.shape or (), [part.shape or () for _, part in parts]
+    if len(shape) == 1 and shape[0] == sum(map(prod, shapes)) and shapes != [shape]:
+        shown = " and ".join(map(str, dict.fromkeys(shapes)))
+        said = f"The environment's observations of the shape {shown} are flattened for the policy, as in training"
+        return PolicyView(FLAT, tuple(key for key, _ in parts if key), said=said)
+    stacks = stacks and isinstance(given, gymnasium.spaces.Box)
+    return _stacking(shape, shapes[0]) if stacks and shape and shapes[0] else None
+
+
+def _stacking(shape: tuple[int, ...], own: tuple[int, ...]) -> PolicyView | None:
+    """Return the view that stacks observations of one shape so that they have another one; None if there is none."""
+    if shape[1:] == own and shape[0] > 1:
+        return PolicyView(STACKED, (), shape[0], _said(shape[0], own, f"FrameStackObservation({shape[0]})"))
+    frames = shape[-1] // max(own[-1], 1)
+    if len(own) > 1 and frames > 1 and shape == (*own[:-1], frames * own[-1]):
+        return PolicyView(JOINED, (), frames, _said(frames, own, f"VecFrameStack({frames})"))
+    return None
+
+
+def _said(frames: int, shape: tuple[int, ...], wrapper: str) -> str:
+    return (
+        f"The last {frames} observations of the shape {shape} are stacked for the policy, as by {wrapper} in training"
+    )

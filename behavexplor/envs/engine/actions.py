@@ -105,7 +105,7 @@ def _fill_commands(actions: Floats, scales: Floats, clip: bool, is_single: bool,
 def check_actions(space: Space[Any], actions: Any) -> None:
     """Check that an action, or a batch of them, has the shape of its space and can be carried out.
 
-    Any finite number is accepted for a Box, even beyond its bounds.
+    The space is a Discrete, MultiDiscrete or Box. Any finite number is accepted for a Box, even beyond its bounds.
 
     Raises:
         InputError: if the actions do not fit the space; the message says what was expected.

@@ -36,7 +36,8 @@ def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: in
 
     Most pairs are passed over at once, because they are too far apart along x, or because neither checks collisions.
 
-    `dt` is the duration of a frame, for which a collision is foreseen [s], and `xs` memory for the positions along x.
+    The vehicles come first, then the obstacles. `dt` is the duration of a frame, for which a collision is foreseen [s],
+    and `xs` memory for the positions along x, shape (N,).
     """
     longest = 0.0
     end_of_checking = 0
@@ -94,6 +95,8 @@ def _box(vehicle: Vehicle, traits: Traits) -> Corners:
 @kernel_inner
 def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, float, float]:
     """Return whether two boxes overlap, whether they will, and the push that parts them [m].
+
+    `dx` and `dy` are the motion of box a relative to box b [m].
 
     This is `highway_env.utils.are_polygons_intersecting`. It ends early only if the rest cannot change the result.
     """

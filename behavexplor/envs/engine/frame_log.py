@@ -48,7 +48,10 @@ def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
 
 @kernel_inner
 def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> None:
-    """Log the present state, in which the vehicles' places on their lanes have been noted."""
+    """Log the present state, in which the vehicles' places on their lanes have been noted, in `frame` and `things`.
+
+    If there is room for one of `things`, it is the ego.
+    """
     episode = scene.episode
     first, count = 0, episode.n_vehicles + episode.n_obstacles
     if len(things) == 1:

@@ -55,7 +55,10 @@ def give_command(world: World, scene: Scene, first: float, second: float) -> Non
 
 @kernel_inner
 def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, frames: Records, things: Records) -> None:
-    """Simulate some frames: `Road.act` and `Road.step`. The log has no frames beyond its length."""
+    """Simulate some frames: `Road.act` and `Road.step`, and log them in rows of the arrays of `FrameLog`.
+
+    The log has no frames beyond its length.
+    """
     episode = scene.episode
     note_places(network, scene)
     for k in range(n_frames):
@@ -186,7 +189,7 @@ def _enters(a: Floats, a_traits: Traits, b: Floats, b_traits: Traits) -> bool:
     """Return whether highway-env finds a corner, a side's middle or the center of box a inside box b.
 
     This is `highway_env.utils.has_corner_inside`, which rotates points into the frame of b by b's heading, not by its
-    opposite. The result is that of highway-env, not that of geometry.
+    opposite. The result is that of highway-env, not that of geometry. Each box is x [m], y [m] and heading [rad].
     """
     cos_a, sin_a, cos_b, sin_b = math.cos(a[2]), math.sin(a[2]), math.cos(b[2]), math.sin(b[2])
     along, aside = 1.5 * a_traits.length / 2, 0.9 * a_traits.width / 2

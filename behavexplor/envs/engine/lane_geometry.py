@@ -185,7 +185,10 @@ def is_farther(lane: Lane, x: float, y: float, limit: float) -> bool:
 
 @kernel_inner
 def _is_off_circle(lane: Lane, dx: float, dy: float, limit: float) -> bool:
-    """Return whether a point is certainly farther than a limit from an arc's circle. It takes no square root."""
+    """Return whether a point is certainly farther than a limit [m] from an arc's circle. It takes no square root.
+
+    The point is at `dx` and `dy` from the center [m].
+    """
     square = dx * dx + dy * dy
     outer, inner = lane.radius + limit + SLACK, max(lane.radius - limit - SLACK, 0.0)
     return bool(square > outer * outer or square < inner * inner)
@@ -203,7 +206,8 @@ def _is_farther_from_arc(lane: Lane, dx: float, dy: float, limit: float) -> bool
 def _least_distance_beyond_arc(lane: Lane, dx: float, dy: float, distance: float) -> float:
     """Compute a lower bound of the distance beyond an arc's ends, measured along its circle [m].
 
-    The angle between two directions is at least the difference of their cosines.
+    The point is at `dx` and `dy` from the center, and at `distance` in a straight line [m]. The angle between two
+    directions is at least the difference of their cosines.
     """
     if distance < SLACK:  # at the center, which is in no direction
         return 0.0

@@ -96,7 +96,7 @@ def _make_columns(observation: KinematicObservation) -> Records:
 
 @kernel_inner
 def observe(network: Network, view: View, scene: Scene, table: Singles) -> None:
-    """Fill a Kinematics observation, in highway-env's order even if it is "shuffled"."""
+    """Fill a Kinematics observation, shape (vehicles_count, features), in highway-env's order even if "shuffled"."""
     options, ego = view.options[0], scene.episode.ego
     n_seen = _sort_seen(network, view, scene, len(table) - 1)
     table[:] = 0.0
@@ -220,7 +220,10 @@ def make_memory(network: Network, n_speeds: int, n_times: int) -> GridMemory:
 def observe_times(
     network: Network, scene: Scene, speeds: Floats, period: float, memory: GridMemory, observation: Singles
 ) -> None:
-    """Fill a TimeToCollision observation, shape (9, times): three target speeds times three lanes."""
+    """Fill a TimeToCollision observation, shape (9, times): three target speeds times three lanes.
+
+    `speeds` are the ego's target speeds [m/s], `period` is the duration of a cell [s], and the memory is overwritten.
+    """
     ego = scene.vehicles[scene.episode.ego]
     lane = network.lanes[ego.lane]
     n_speeds, n_lanes = len(speeds), network.roads[lane.road].n_lanes

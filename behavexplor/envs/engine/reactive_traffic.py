@@ -51,7 +51,7 @@ def drive(network: Network, scene: Scene, i: int) -> None:
 def _change_lane(network: Network, scene: Scene, i: int, free: float) -> None:
     """Begin or abort a change of lane: `IDMVehicle.change_lane_policy`.
 
-    If MOBIL recommends both sides, the right one is taken.
+    If MOBIL recommends both sides, the right one is taken. `free` is the acceleration wanted on a free road [m/s2].
     """
     vehicle, traits = scene.vehicles[i], scene.traits[i]
     lane = network.lanes[vehicle.lane]
@@ -96,7 +96,7 @@ def _recommends(
     """Return whether MOBIL recommends a change to a lane: `IDMVehicle.mobil`.
 
     `free` and `unchanged` are the accelerations that it would want on a free road, and wants in its present lane
-    [m/s2].
+    [m/s2]. `old_front` and `old_rear` are its neighbors there, or `NO_VEHICLE`.
     """
     vehicle, traits = scene.vehicles[i], scene.traits[i]
     station, _ = lane_coordinates(network.lanes[lane], vehicle.x, vehicle.y)
@@ -159,7 +159,8 @@ def _free_acceleration(network: Network, scene: Scene, traits: Traits, i: int) -
 def _acceleration(network: Network, scene: Scene, traits: Traits, i: int, front: int, free: float) -> float:
     """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
 
-    Vehicle i need not be the driver's own; `free` is what the driver would want on a free road [m/s2].
+    Vehicle i need not be the driver's own; `front` is the one in front of it, or `NO_VEHICLE`; `free` is what the
+    driver would want on a free road [m/s2].
     """
     if front == NO_VEHICLE or (scene.traits[i].kind == OBSTACLE and traits.kind != LINEAR):
         return free

@@ -19,7 +19,7 @@ RecordType: TypeAlias = np.dtype[np.record]
 
 
 def record_type(**fields: type) -> RecordType:
-    """Create the type of a record."""
+    """Create the type of a record of fields, in their order in memory."""
     return cast("RecordType", np.dtype((np.record, np.dtype(list(fields.items()), align=True))))
 
 

@@ -1,4 +1,7 @@
-"""Traits of highway-env's vehicles and obstacles: how they drive, as far as it does not change in an episode."""
+"""Traits of highway-env's vehicles and obstacles: how they drive, as far as it does not change in an episode.
+
+The parameters of their classes, which an environment may change, are kept apart for each environment.
+"""
 
 import inspect
 import math

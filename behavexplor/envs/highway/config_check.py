@@ -67,7 +67,8 @@ _OWN = STARTS | {"__init__"}
 def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], changes: object) -> None:
     """Check that the compiled engine reproduces a configuration, and warn of keys that highway-env ignores.
 
-    Only the environment's own roads and starts read the keys that `known_class` does not have.
+    `changes` are what is given, and change the default configuration in part. Only the environment's own roads and
+    starts read the keys that `known_class` does not have.
 
     Raises:
         InputError: if a key is not supported, or a value is out of range. The message names the key.
@@ -157,6 +158,8 @@ def _check_traffic(path: str) -> None:
 
 def known_class(env_class: type[AbstractEnv], *, rewards: bool = True) -> type[AbstractEnv]:
     """Return the class of highway-env whose rules an environment follows: itself, or one of its parents.
+
+    With `rewards`, its rewards must be those of that class, too.
 
     Raises:
         InputError: if there is none, or the environment changes the rules. The message names the changed method.

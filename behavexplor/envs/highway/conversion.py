@@ -1,4 +1,4 @@
-"""The state of a slot: copied from an environment of highway-env, and compared with another."""
+"""Copies of a slot's state: from an environment of highway-env into the slot, and from the slot for a comparison."""
 
 import math
 from typing import Any, NamedTuple
@@ -28,15 +28,17 @@ from behavexplor.envs.engine.vehicle_parameters import kind_of, traits_of
 from behavexplor.envs.engine.world import EGO, World
 from behavexplor.errors import InputError
 
+# Numbers tell only in which order vehicles appeared. What is left of the routes is compared instead of their indices.
 _NOT_COMPARED = frozenset({"number", "n_numbered", "route_position", "route_length"})
 _PRECISION = 1e-9  # numpy and the C library may differ in the last bit
 
 
 def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
-    """Copy the present state of an environment into slot b.
+    """Copy the state of an environment without wrappers, which has the road and rules of `world`, into slot b.
 
     Raises:
-        InputError: if the environment has vehicles that the engine does not know, or too many for the slot.
+        InputError: if the environment has vehicles that the engine does not know or too many for the slot, a vehicle
+            with other target speeds than those of `world`, or a route that is too long or leaves the road network.
     """
     road, episode = env.road, slots.episodes[b]
     things = [*road.vehicles, *road.objects]
@@ -45,14 +47,17 @@ def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
             f"The environment has {len(things)} vehicles and obstacles, but a slot holds {slots.vehicles.shape[1]}; "
             f"make slots with more places"
         )
-    episode.n_vehicles, episode.n_obstacles = len(road.vehicles), len(road.objects)
+    episode.n_vehicles = len(road.vehicles)
+    episode.n_obstacles = len(road.objects)
     episode.n_numbered = len(things)
     episode.ego = road.vehicles.index(env.vehicle)
-    episode.frames, episode.time, episode.road_frames = env.steps, env.time, getattr(road, "steps", 0)
+    episode.frames = env.steps
+    episode.time = env.time
+    episode.road_frames = getattr(road, "steps", 0)
     episode.n_side_lanes = _n_side_lanes(env)
     lanes = {index: lane for lane, index in enumerate(lane_indexes(road.network))}
     roads = road_numbers(road.network)
-    kinds = {cls: kind_of(cls) for cls in {type(thing) for thing in things}}
+    kinds = {cls: kind_of(cls) for cls in {type(thing) for thing in things}}  # once per class: it looks through methods
     for i, thing in enumerate(things):
         kind = kinds[type(thing)]
         slots.traits[b, i] = traits_of(thing, kind)
@@ -64,21 +69,27 @@ def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
         if kind in (MDP, IDM, LINEAR):
             _load_targets(slots.vehicles[b, i], thing, lanes, world.speeds)
             _load_route(slots.vehicles[b, i], slots.routes[b, i], thing.route, roads)
-    ego = world.templates[EGO]
-    slots.traits[b, episode.ego].min_speed, slots.traits[b, episode.ego].max_speed = ego.min_speed, ego.max_speed
+    ego = slots.traits[b, episode.ego]  # its range of speeds may be that of the actions instead of that of its class
+    ego.min_speed = world.templates[EGO].min_speed
+    ego.max_speed = world.templates[EGO].max_speed
 
 
 def _load_pose(vehicle: Vehicle, thing: RoadObject, lanes: dict[LaneIndex, int]) -> None:
-    (vehicle.x, vehicle.y), vehicle.heading, vehicle.speed = thing.position, thing.heading, thing.speed
+    vehicle.x, vehicle.y = thing.position
+    vehicle.heading = thing.heading
     vehicle.cos, vehicle.sin = math.cos(thing.heading), math.sin(thing.heading)
-    vehicle.lane, vehicle.target_lane = lanes[tuple(thing.lane_index)], NO_LANE
+    vehicle.speed = thing.speed
+    vehicle.lane = lanes[tuple(thing.lane_index)]
+    vehicle.target_lane = NO_LANE
     vehicle.crashed = thing.crashed
 
 
 def _load_commands(vehicle: Vehicle, thing: Any) -> None:
-    vehicle.steering, vehicle.acceleration = thing.action["steering"], thing.action["acceleration"]
+    vehicle.steering = thing.action["steering"]
+    vehicle.acceleration = thing.action["acceleration"]
     if thing.impact is not None:
-        (vehicle.impact_x, vehicle.impact_y), vehicle.has_impact = thing.impact, True
+        vehicle.impact_x, vehicle.impact_y = thing.impact
+        vehicle.has_impact = True
 
 
 def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], speeds: Floats) -> None:
@@ -86,21 +97,25 @@ def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], spe
         raise InputError(
             f"A vehicle has the target speeds {thing.target_speeds}, but those of the actions are {speeds}"
         )
-    vehicle.target_lane, vehicle.target_speed = lanes[tuple(thing.target_lane_index)], thing.target_speed
-    vehicle.speed_index, vehicle.timer = getattr(thing, "speed_index", 0), getattr(thing, "timer", 0.0)
+    vehicle.target_lane = lanes[tuple(thing.target_lane_index)]
+    vehicle.target_speed = thing.target_speed
+    vehicle.speed_index = getattr(thing, "speed_index", 0)
+    vehicle.timer = getattr(thing, "timer", 0.0)
     vehicle.is_yielding = getattr(thing, "is_yielding", False)
 
 
 def _load_route(
     vehicle: Vehicle, steps: Records, route: list[LaneIndex] | None, roads: dict[tuple[str, str], int]
 ) -> None:
-    vehicle.route_position, vehicle.route_length = 0, NO_ROUTE if route is None else len(route)
+    vehicle.route_position = 0
+    vehicle.route_length = NO_ROUTE if route is None else len(route)
     if len(route or []) > len(steps):
         raise InputError(f"A route has {len(route or [])} steps, but a slot holds {len(steps)}; make longer ones")
     for step, (origin, target, number) in zip(steps, route or [], strict=False):
         if (origin, target) not in roads:
             raise InputError(f"A route has the road {(origin, target)}, which the road network does not have")
-        step.road, step.number = roads[origin, target], SAME_NUMBER if number is None else number
+        step.road = roads[origin, target]
+        step.number = SAME_NUMBER if number is None else number
 
 
 def _n_side_lanes(env: AbstractEnv) -> int:
@@ -112,14 +127,6 @@ def _n_side_lanes(env: AbstractEnv) -> int:
     return len(env.road.network.all_side_lanes(env.vehicle.lane_index))
 
 
-def make_route(vehicle: Vehicle, steps: Records, ends: list[tuple[str, str]]) -> list[LaneIndex] | None:
-    """Return what is left of a route."""
-    if vehicle.route_length == NO_ROUTE:
-        return None
-    rest = steps[vehicle.route_position : vehicle.route_length]
-    return [(*ends[step.road], None if step.number == SAME_NUMBER else int(step.number)) for step in rest]
-
-
 class SlotState(NamedTuple):
     """A copy of a slot with n vehicles and obstacles."""
 
@@ -129,9 +136,10 @@ class SlotState(NamedTuple):
     routes: Records  # shape (n, steps) of `ROUTE_STEP`
 
     def ego_route(self, network: RoadNetwork) -> list[LaneIndex]:
-        """Return the lanes of what is left of the ego's route; none if it has no route."""
-        ego = int(self.episode["ego"])
-        return make_route(self.vehicles[ego], self.routes[ego], list(road_numbers(network))) or []
+        """Return the lanes of what is left of the ego's route; an empty list if it has no route."""
+        rest = _rest(self, int(self.episode["ego"])) or []
+        ends = list(road_numbers(network))
+        return [(*ends[road], None if number == SAME_NUMBER else number) for road, number in rest]
 
     def sizes(self) -> dict[int, tuple[float, float]]:
         """Return length and width of each vehicle and obstacle by its number [m], in the order of the slot."""
@@ -148,7 +156,7 @@ def slot_state(slots: Slots, b: int) -> SlotState:
 
 
 def are_alike(one: SlotState, other: SlotState) -> bool:
-    """Return whether two episodes stand alike. The numbers of their vehicles may differ."""
+    """Return whether two slots are in the same state, but for the numbers of their vehicles."""
     if one.vehicles.shape != other.vehicles.shape:
         return False
     pairs = ((one.episode, other.episode), (one.vehicles, other.vehicles), (one.traits, other.traits))
@@ -165,7 +173,7 @@ def _have_same_routes(one: SlotState, other: SlotState) -> bool:
 
 
 def _rest(state: SlotState, i: int) -> list[tuple[int, int]] | None:
-    """Return what is left of the route of vehicle i; None if it has no route."""
+    """Return road and lane of each step left of the route of vehicle i; None if it has no route."""
     vehicle = state.vehicles[i]
     if vehicle["route_length"] == NO_ROUTE:
         return None

@@ -35,7 +35,8 @@ def ego_route(
     """Return the center line of the ego's way, without its changes of lane, shape (P, 2), P >= 2 [m].
 
     On each road, the route stays in the lane with the number of the first lane, as far as the road has it. A lane
-    change therefore shows as an offset from the route, and a turn as a turn of the route.
+    change therefore shows as an offset from the route, and a turn as a turn of the route. If no lanes are planned, the
+    roads are those along which the ego drove, as far as they are connected; `driven` is its lane in every frame.
     """
     roads = [lane[:2] for lane in planned] if planned else _connected([lane[:2] for lane in driven])
     number = driven[0][2] or 0

@@ -109,6 +109,8 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin episodes with the option `scenarios`, one for each slot; `reset_mask`, (num_envs,), selects slots.
 
+        `seed` has no effect.
+
         Raises:
             InputError: if a scenario is not one of this environment.
         """
@@ -287,7 +289,10 @@ def _arrivals(infos: dict[str, Any]) -> Bools | None:
 
 
 def start_order(env: DrawnEnv, scenarios: Iterable[DrawnScenario]) -> tuple[DrawPlace, ...] | None:
-    """Return the order of the draws with which episodes begin; None if it differs from episode to episode."""
+    """Return the order of the draws with which episodes begin; None if it differs among those of the scenarios.
+
+    The present episode of `env` is lost.
+    """
     orders = set()
     for scenario in scenarios:
         env.begin_blindly(scenario)

@@ -51,7 +51,11 @@ _OF_STARTS: Final = frozenset(  # keys of the config that matter to starts only
 def make_engine(
     env: AbstractEnv, number: int, num_envs: int, *, places_own: bool, most_decisions: int | None
 ) -> Engine:
-    """Return what the episodes of an environment have in common."""
+    """Return what the episodes of an environment that has been reset have in common.
+
+    `number` is that of its kind. With `places_own`, it makes its own road or vehicles. After `most_decisions`, an
+    episode is truncated; None for no limit.
+    """
     kind, world = KINDS[number], make_world(env, goal_lanes(env))
     if isinstance(env, kind.unaware):
         world.templates[OTHER].checks_collisions = False
@@ -98,7 +102,8 @@ def copy_start(env: AbstractEnv, engine: Engine, slots: Slots, b: int, most: int
     """Copy the start of an episode to slot b, with the generator if it is numpy's `Generator` on `PCG64`.
 
     Raises:
-        InputError: if the environment has another road, or vehicles that the engine does not know.
+        InputError: if the environment has another road, more than `most` vehicles and obstacles, or some that the
+            engine does not know.
     """
     options = {"connected_lanes": env.config["neighbour_vehicles_connected_lanes"], "is_goal": goal_lanes(env)}
     road = make_network(env.road.network, **options)
@@ -120,7 +125,9 @@ def copy_start(env: AbstractEnv, engine: Engine, slots: Slots, b: int, most: int
 def chosen_starts(
     starts: object, env_class: type[AbstractEnv], config: Mapping[str, Any], mask: Bools
 ) -> dict[int, AbstractEnv]:
-    """Return the environments of the reset option `starts`, by their slot.
+    """Return the environments of the reset option `starts`, by their slot; none if it is None.
+
+    Each must be of `env_class` and have the configuration, but for what only matters to drawing and starts.
 
     Raises:
         InputError: if a slot is not reset, or an environment is another one.
@@ -136,7 +143,7 @@ def chosen_starts(
 
 
 def chosen_draws(draws: object, mask: Bools) -> dict[int, Floats]:
-    """Return the reset option `draws`: for each slot an array of shape (n,).
+    """Return the reset option `draws`: for each slot an array of shape (n,); none if it is None.
 
     Raises:
         InputError: if a slot is not reset, or the draws are not finite numbers.

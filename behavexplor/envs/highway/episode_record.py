@@ -62,6 +62,201 @@ from behavexplor.envs.highway.course import LaneIndex, ego_route
 CURVE: Final = 0.5  # a road whose heading changes by more than this is a curve [rad]
 ALONG: Final = math.pi / 4  # greatest angle to the road of a vehicle that drives along it [rad]
 _STATIONS: Final = 9  # at which the heading of a lane is read
+_NAMES: Final = ("x", "y", "heading", "speed", "lane", "target_lane")  # fields of `THING`
+_WITH_BORDERS: Final = (HighwayEnv, MergeEnv, MergeGenericEnv, ExitEnv, RacetrackEnv)
+
+
+class Frame(NamedTuple):
+    """What is on the road at one moment."""
+
+    things: Records  # the vehicles and obstacles, shape (n,) of `behavexplor.envs.engine.frame_log.THING`
+    ego: int  # the ego's place among them
+    is_on_road: bool  # highway-env's `on_road` of the ego
+
+
+class EpisodeRecord:
+    """The frames and decisions of an episode."""
+
+    def __init__(self, env: AbstractEnv, route: Sequence[LaneIndex]) -> None:
+        self._route = tuple(route)
+        self._leaving_matters = leaving_matters(env)
+        self._must_move_on = must_move_on(env)
+        self.frames: list[Frame] = []
+        self.sizes: dict[int, tuple[float, float]] = {}
+        self._period = 1 / env.config["simulation_frequency"]
+        self._actions: list[Floats] = []
+        self._action_frames: list[int] = []
+        self._arrivals: list[tuple[int, bool]] = []  # whether the ego has arrived, with the frame in which it is said
+
+    def decide(self, action: Any) -> None:
+        """Record a command that is given at the latest frame."""
+        self._actions.append(np.atleast_1d(np.asarray(action, dtype=np.float64)))
+        self._action_frames.append(len(self.frames) - 1)
+
+    def judge(self, arrived: bool | None) -> None:
+        """Record whether the ego has arrived after a decision; None if the environment has no destination."""
+        if arrived is not None:
+            self._arrivals.append((len(self.frames) - 1, arrived))
+
+    def trace(self, network: RoadNetwork, *, terminated: bool) -> Trace:
+        """Return the trace of the episode, which ends with the frame in which the ego crashes, if it does.
+
+        `terminated` says that the environment ended it, not that its time ran out.
+        """
+        things = [frame.things for frame in self.frames]
+        numbers, column = self._columns()
+        frame = np.repeat(np.arange(len(things)), [len(seen) for seen in things])
+        every = np.frombuffer(b"".join(seen.tobytes() for seen in things), THING)  # many times as fast as `concatenate`
+        at = (frame, column[every["number"]])
+        motion = np.zeros((4, len(things), len(numbers)))
+        motion[:2] = ABSENT
+        lanes = np.zeros((2, len(things), len(numbers)), dtype=np.int64)
+        present, crashed = np.zeros((2, len(things), len(numbers)), dtype=bool)
+        for values, name in zip((*motion, *lanes), _NAMES, strict=True):
+            values[at] = every[name]
+        present[at], crashed[at] = True, every["crashed"]
+        position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
+        size = np.array([self.sizes[number] for number in numbers.tolist()])
+        has_crashed = bool(crashed[:, 0].any())
+        count = int(crashed[:, 0].argmax()) + 1 if has_crashed else len(things)
+        indexes = lane_indexes(network)
+        driven = [indexes[lane] for lane in lanes[0, :, 0].tolist()]
+        route = ego_route(network, self._route, driven, position[:, 0])
+        partner = _partner(position, heading, size, crashed)
+        signals = {
+            **self._signals(crashed[:, 0], driven, count),
+            **_lane_signals(network, lanes, heading, partner),
+            **({WRECKS: crashed.astype(np.float64)} if crashed[:, 1:].any() else {}),
+        }
+        decisions = sum(frame < count for frame in self._action_frames)
+        return Trace(
+            time=np.arange(count, dtype=np.float64) * self._period,
+            position=position[:count],
+            heading=heading[:count],
+            velocity=(speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1))[:count],
+            size=size,
+            actions=np.array(self._actions[:decisions]) if self._actions else np.zeros((0, 1)),
+            action_frame=np.array(self._action_frames[:decisions], dtype=np.int64),
+            route=route,
+            destination=route[-1],
+            illegal_lines=np.zeros((0, 2, 2)),
+            end="collision" if has_crashed else self._end(terminated=terminated),
+            signals={name: values[:count] for name, values in signals.items()},
+            present=present[:count],
+            partner=partner,
+        )
+
+    def _columns(self) -> tuple[Ints, Ints]:
+        """Return the numbers of all vehicles and obstacles, the ego's first, and the column of each number."""
+        first = self.frames[0]
+        ego = int(first.things["number"][first.ego])
+        numbers = np.array([ego, *(number for number in self.sizes if number != ego)])
+        column = np.zeros(numbers.max() + 1, dtype=np.intp)
+        column[numbers] = np.arange(len(numbers))
+        return numbers, column
+
+    def _signals(self, crashed: Bools, driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
+        """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it.
+
+        `crashed` and `driven` are the ego's in every frame, of which the trace keeps `count`.
+        """
+        signals = {CRASHED: crashed.astype(np.float64)}
+        if self._leaving_matters:
+            signals[OFF_ROAD] = np.array([not frame.is_on_road for frame in self.frames], dtype=np.float64)
+        if self._arrivals:
+            signals[ARRIVED] = np.zeros(len(self.frames))
+            for frame, arrived in [said for said in self._arrivals if said[0] < count][-1:]:
+                signals[ARRIVED][frame] = arrived
+        elif self._must_move_on:
+            entry = {driven[0][:2], *(lane[:2] for lane in self._route[:2])}
+            signals[ARRIVED] = np.array([lane[:2] not in entry for lane in driven], dtype=np.float64)
+        return signals
+
+    def _end(self, *, terminated: bool) -> str:
+        """Return the kind of end of an episode without a crash, one of `behavexplor.data.trace.ENDS`."""
+        if self._arrivals and self._arrivals[-1][1]:
+            return "arrived"
+        if not terminated:
+            return "timeout"
+        return "ended" if self.frames[-1].is_on_road else "off-road"
+
+
+class Watch:
+    """Watches a highway-env environment that has just been reset, and records every frame of an episode."""
+
+    def __init__(self, env: AbstractEnv) -> None:
+        self._things: dict[int, tuple[int, RoadObject]] = {}  # keeps the objects alive, since their identity is the key
+        self.record = EpisodeRecord(env, getattr(env.vehicle, "route", None) or ())
+        self._look(env)
+        road: Any = env.road
+        step = road.step
+
+        def watched(dt: float) -> None:
+            step(dt)
+            self._look(env)
+
+        road.step = watched
+
+    def _look(self, env: AbstractEnv) -> None:
+        vehicles, ego = env.road.vehicles, env.vehicle
+        obstacles = [thing for thing in env.road.objects if thing.solid and thing.collidable]
+        lanes = {index: lane for lane, index in enumerate(lane_indexes(env.road.network))}
+        rows = [*(self._row(thing, lanes) for thing in vehicles), *(self._row(thing, {}) for thing in obstacles)]
+        self.record.frames.append(Frame(np.array(rows, dtype=THING), vehicles.index(ego), bool(ego.on_road)))
+
+    def _row(
+        self, thing: RoadObject, lanes: dict[LaneIndex, int]
+    ) -> tuple[int, float, float, float, float, int, int, bool]:
+        number, _ = self._things.setdefault(id(thing), (len(self._things), thing))
+        self.record.sizes.setdefault(number, (float(thing.LENGTH), float(thing.WIDTH)))
+        pose = (*thing.position.tolist(), float(thing.heading), float(getattr(thing, "speed", 0.0)))
+        lane, target = (tuple(getattr(thing, name, None) or ()) for name in ("lane_index", "target_lane_index"))
+        return number, *pose, lanes.get(lane, NO_LANE), lanes.get(target, NO_LANE), bool(thing.crashed)
+
+
+def _partner(position: Floats, heading: Floats, size: Floats, crashed: Bools) -> int:
+    """Return the vehicle or obstacle with which the ego crashed; -1 without a crash.
+
+    highway-env does not tell it. It is the nearest of those that have crashed by the frame of the ego's crash.
+    """
+    frame = int(crashed[:, 0].argmax())
+    candidates = 1 + np.flatnonzero(crashed[frame, 1:])
+    if not crashed[frame, 0] or not len(candidates):
+        return -1
+    boxes = box_corners(position[frame], heading[frame], size)
+    return int(candidates[box_distance(boxes[:1], boxes[candidates]).argmin()])
+
+
+def leaving_matters(env: AbstractEnv) -> bool:
+    """Return whether it is a violation that the ego leaves the road."""
+    return isinstance(env, _WITH_BORDERS)
+
+
+def must_move_on(env: AbstractEnv) -> bool:
+    """Return whether an ego must drive beyond the first two roads of its route, where no arrival is named."""
+    return isinstance(env, RoundaboutEnv)
+
+
+def has_arrived(env: AbstractEnv, info: Mapping[str, Any]) -> bool | None:
+    """Return whether the ego has arrived, as highway-env says; None if the environment has no destination.
+
+    The terms of a subclass's reward do not tell it, since they may be others.
+    """
+    if "is_success" in info:
+        return bool(info["is_success"])
+    return bool(env.has_arrived(env.vehicle)) if isinstance(env, IntersectionEnv) else None
+
+
+def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: int) -> dict[str, Array]:
+    """Return the signals that the lanes tell; see `behavexplor.envs.highway.episode_record`."""
+    table = lane_table(network)
+    place = places(table, *lanes[:, :, 0])
+    signals: dict[str, Array] = {CHANGING: lane_changes(table, *lanes[:, :, 0]), WAY: table.way[place]}
+    if partner > 0:
+        turned = heading[:, partner] - heading[:, 0]
+        where, beside = partner_places(table, place, places(table, *lanes[:, :, partner]), turned)
+        signals |= {PARTNER: where, PARTNER_LANES: beside}
+    return signals
 
 
 class LaneTable(NamedTuple):
@@ -187,188 +382,3 @@ def partner_places(table: LaneTable, place: Ints, partner: Ints, turned: Floats)
     is_near = ~np.isnan(beside) & along
     where = np.where(partner == NO_LANE, OBSTACLE, np.where(is_near, ON_ITS_WAY, ELSEWHERE))
     return where, np.where(where == ON_ITS_WAY, beside, 0.0)
-
-
-_NAMES: Final = ("x", "y", "heading", "speed", "lane", "target_lane")  # fields of `THING`
-_WITH_BORDERS: Final = (HighwayEnv, MergeEnv, MergeGenericEnv, ExitEnv, RacetrackEnv)
-
-
-class Frame(NamedTuple):
-    """What is on the road at one moment."""
-
-    things: Records  # the vehicles and obstacles, shape (n,) of `behavexplor.envs.engine.frame_log.THING`
-    ego: int  # the ego's place among them
-    is_on_road: bool  # highway-env's `on_road` of the ego
-
-
-class EpisodeRecord:
-    """The frames and decisions of an episode."""
-
-    def __init__(self, env: AbstractEnv, route: Sequence[LaneIndex]) -> None:
-        self._route = tuple(route)
-        self._leaving_matters = leaving_matters(env)
-        self._must_move_on = must_move_on(env)
-        self.frames: list[Frame] = []
-        self.sizes: dict[int, tuple[float, float]] = {}
-        self._period = 1 / env.config["simulation_frequency"]
-        self._actions: list[Floats] = []
-        self._action_frames: list[int] = []
-        self._arrivals: list[tuple[int, bool]] = []  # whether the ego has arrived, with the frame in which it is said
-
-    def decide(self, action: Any) -> None:
-        """Record a command that is given at the latest frame."""
-        self._actions.append(np.atleast_1d(np.asarray(action, dtype=np.float64)))
-        self._action_frames.append(len(self.frames) - 1)
-
-    def judge(self, arrived: bool | None) -> None:
-        """Record whether the ego has arrived after a decision; None if the environment has no destination."""
-        if arrived is not None:
-            self._arrivals.append((len(self.frames) - 1, arrived))
-
-    def trace(self, network: RoadNetwork, *, terminated: bool) -> Trace:
-        """Return the trace of the episode, which ends with the frame in which the ego crashes, if it does."""
-        things = [frame.things for frame in self.frames]
-        ego = int(things[0]["number"][self.frames[0].ego])
-        numbers = np.array([ego, *(number for number in self.sizes if number != ego)])
-        column = np.zeros(numbers.max() + 1, dtype=np.intp)
-        column[numbers] = np.arange(len(numbers))
-        frame = np.repeat(np.arange(len(things)), [len(seen) for seen in things])
-        every = np.frombuffer(b"".join(seen.tobytes() for seen in things), THING)  # many times as fast as `concatenate`
-        at = (frame, column[every["number"]])
-        motion = np.zeros((4, len(things), len(numbers)))
-        motion[:2] = ABSENT
-        lanes = np.zeros((2, len(things), len(numbers)), dtype=np.int64)
-        present, crashed = np.zeros((2, len(things), len(numbers)), dtype=bool)
-        for values, name in zip((*motion, *lanes), _NAMES, strict=True):
-            values[at] = every[name]
-        present[at], crashed[at] = True, every["crashed"]
-        position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
-        size = np.array([self.sizes[number] for number in numbers.tolist()])
-        has_crashed = bool(crashed[:, 0].any())
-        count = int(crashed[:, 0].argmax()) + 1 if has_crashed else len(things)
-        indexes = lane_indexes(network)
-        driven = [indexes[lane] for lane in lanes[0, :, 0].tolist()]
-        route = ego_route(network, self._route, driven, position[:, 0])
-        partner = _partner(position, heading, size, crashed)
-        signals = {
-            **self._signals(crashed[:, 0], driven, count),
-            **_lane_signals(network, lanes, heading, partner),
-            **({WRECKS: crashed.astype(np.float64)} if crashed[:, 1:].any() else {}),
-        }
-        decisions = sum(frame < count for frame in self._action_frames)
-        return Trace(
-            time=np.arange(count, dtype=np.float64) * self._period,
-            position=position[:count],
-            heading=heading[:count],
-            velocity=(speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1))[:count],
-            size=size,
-            actions=np.array(self._actions[:decisions]) if self._actions else np.zeros((0, 1)),
-            action_frame=np.array(self._action_frames[:decisions], dtype=np.int64),
-            route=route,
-            destination=route[-1],
-            illegal_lines=np.zeros((0, 2, 2)),
-            end="collision" if has_crashed else self._end(terminated=terminated),
-            signals={name: values[:count] for name, values in signals.items()},
-            present=present[:count],
-            partner=partner,
-        )
-
-    def _signals(self, crashed: Bools, driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
-        """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it."""
-        signals = {CRASHED: crashed.astype(np.float64)}
-        if self._leaving_matters:
-            signals[OFF_ROAD] = np.array([not frame.is_on_road for frame in self.frames], dtype=np.float64)
-        if self._arrivals:
-            signals[ARRIVED] = np.zeros(len(self.frames))
-            for frame, arrived in [said for said in self._arrivals if said[0] < count][-1:]:
-                signals[ARRIVED][frame] = arrived
-        elif self._must_move_on:
-            entry = {driven[0][:2], *(lane[:2] for lane in self._route[:2])}
-            signals[ARRIVED] = np.array([lane[:2] not in entry for lane in driven], dtype=np.float64)
-        return signals
-
-    def _end(self, *, terminated: bool) -> str:
-        """Return the kind of end of an episode without a crash, one of `behavexplor.data.trace.ENDS`."""
-        if self._arrivals and self._arrivals[-1][1]:
-            return "arrived"
-        if not terminated:
-            return "timeout"
-        return "ended" if self.frames[-1].is_on_road else "off-road"
-
-
-class Watch:
-    """Watches a highway-env environment that has just been reset, and records every frame of an episode."""
-
-    def __init__(self, env: AbstractEnv) -> None:
-        self._things: dict[int, tuple[int, RoadObject]] = {}  # keeps the objects alive, since their identity is the key
-        self.record = EpisodeRecord(env, getattr(env.vehicle, "route", None) or ())
-        self._look(env)
-        road: Any = env.road
-        step = road.step
-
-        def watched(dt: float) -> None:
-            step(dt)
-            self._look(env)
-
-        road.step = watched
-
-    def _look(self, env: AbstractEnv) -> None:
-        vehicles, ego = env.road.vehicles, env.vehicle
-        obstacles = [thing for thing in env.road.objects if thing.solid and thing.collidable]
-        lanes = {index: lane for lane, index in enumerate(lane_indexes(env.road.network))}
-        rows = [*(self._row(thing, lanes) for thing in vehicles), *(self._row(thing, {}) for thing in obstacles)]
-        self.record.frames.append(Frame(np.array(rows, dtype=THING), vehicles.index(ego), bool(ego.on_road)))
-
-    def _row(
-        self, thing: RoadObject, lanes: dict[LaneIndex, int]
-    ) -> tuple[int, float, float, float, float, int, int, bool]:
-        number, _ = self._things.setdefault(id(thing), (len(self._things), thing))
-        self.record.sizes.setdefault(number, (float(thing.LENGTH), float(thing.WIDTH)))
-        pose = (*thing.position.tolist(), float(thing.heading), float(getattr(thing, "speed", 0.0)))
-        lane, target = (tuple(getattr(thing, name, None) or ()) for name in ("lane_index", "target_lane_index"))
-        return number, *pose, lanes.get(lane, NO_LANE), lanes.get(target, NO_LANE), bool(thing.crashed)
-
-
-def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: int) -> dict[str, Array]:
-    """Return the signals that the lanes tell; see `behavexplor.envs.highway.episode_record`."""
-    table = lane_table(network)
-    place = places(table, *lanes[:, :, 0])
-    signals: dict[str, Array] = {CHANGING: lane_changes(table, *lanes[:, :, 0]), WAY: table.way[place]}
-    if partner > 0:
-        turned = heading[:, partner] - heading[:, 0]
-        where, beside = partner_places(table, place, places(table, *lanes[:, :, partner]), turned)
-        signals |= {PARTNER: where, PARTNER_LANES: beside}
-    return signals
-
-
-def _partner(position: Floats, heading: Floats, size: Floats, crashed: Bools) -> int:
-    """Return the vehicle or obstacle with which the ego crashed; -1 without a crash.
-
-    highway-env does not tell it. It is the nearest of those that have crashed by the frame of the ego's crash.
-    """
-    frame = int(crashed[:, 0].argmax())
-    candidates = 1 + np.flatnonzero(crashed[frame, 1:])
-    if not crashed[frame, 0] or not len(candidates):
-        return -1
-    boxes = box_corners(position[frame], heading[frame], size)
-    return int(candidates[box_distance(boxes[:1], boxes[candidates]).argmin()])
-
-
-def leaving_matters(env: AbstractEnv) -> bool:
-    """Return whether it is a violation that the ego leaves the road."""
-    return isinstance(env, _WITH_BORDERS)
-
-
-def must_move_on(env: AbstractEnv) -> bool:
-    """Return whether an ego must drive beyond the first two roads of its route, where no arrival is named."""
-    return isinstance(env, RoundaboutEnv)
-
-
-def has_arrived(env: AbstractEnv, info: Mapping[str, Any]) -> bool | None:
-    """Return whether the ego has arrived, as highway-env says; None if the environment has no destination.
-
-    The terms of a subclass's reward do not tell it, since they may be others.
-    """
-    if "is_success" in info:
-        return bool(info["is_success"])
-    return bool(env.has_arrived(env.vehicle)) if isinstance(env, IntersectionEnv) else None

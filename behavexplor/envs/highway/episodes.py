@@ -76,10 +76,11 @@ def advance(
 
     One kernel does all of this, because each function that is compiled on its own takes seconds more.
 
-    DECISION is a stage in which episodes that have ended rest; BEGINNING begins episodes; LOOK observes and judges
-    those that have been begun elsewhere. With `logs_start`, the start is logged as the first frame. Return the number
-    of chosen slots whose episode has ended. If a choice is none of the commands, it is REFUSED, and if the vehicles of
-    a slot would not have room in it, FULL; nothing has changed then.
+    Everything but world, task, `chosen` and actions is changed in place; `chosen` has the shape (B,). DECISION is
+    a stage in which episodes that have ended rest; BEGINNING begins episodes; LOOK observes and judges those that have
+    been begun elsewhere. With `logs_start`, the start is logged as the first frame. Return the number of chosen slots
+    whose episode has ended. If a choice is none of the commands, it is REFUSED, and if the vehicles of a slot would not
+    have room in it, FULL; nothing has changed then.
     """
     refusal = _refusal(engine.task, slots, chosen, actions, stage)
     if refusal < 0:
@@ -198,7 +199,8 @@ def _judge(world: World, task: Task, scene: Scene, choice: int, numbers: Floats,
 def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chosen: Bools) -> dict[str, Any]:
     """Return the infos of highway-env's single environments as gymnasium's vector environments collect them.
 
-    The infos consist of parts of the numbers and flags, in which what is not chosen becomes 0, and of the actions.
+    The infos consist of parts of the numbers and flags, in which what is not chosen becomes 0, and of the actions. So
+    numbers and flags must be copies. `chosen` says which sub-environments have an info, shape (B,).
     """
     beside = None if all(chosen.tolist()) else ~chosen
     if beside is not None:

@@ -34,7 +34,7 @@ _MAKERS: Final = ("_create_vehicles", "_make_vehicles")  # methods of highway-en
 
 
 def widen(env: AbstractEnv) -> None:
-    """Give an environment wide traffic from its next reset on.
+    """Give an environment that has been reset wide traffic from its next reset on.
 
     Raises:
         InputError: if the environment places its vehicles in an unknown way, or begins without other vehicles that

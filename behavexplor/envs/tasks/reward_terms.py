@@ -39,7 +39,10 @@ _DEFAULT_SPEEDS: Floats = MDPVehicle.DEFAULT_TARGET_SPEEDS.astype(np.float64)
 
 @kernel_inner
 def put_terms(world: World, rules: Any, terms: Records, scene: Scene, changes_lane: bool, values: Floats) -> None:
-    """Compute the terms of the reward into `values`; `changes_lane` says whether the action is a change of lane."""
+    """Compute the terms of the reward into `values`, shape (terms,).
+
+    `changes_lane` says whether the action is a change of lane.
+    """
     for k in range(len(terms)):
         values[k] = _value(world, rules, terms[k].code, scene, changes_lane)
 

@@ -55,8 +55,9 @@ def episode_trace(
 ) -> Trace:
     """Build the trace of a finished episode of T frames, in which the given sizes become part.
 
-    The ego has poses, shape (T,) of `POSE`; the NPCs have a motion table, shape (T, n_npcs, 5); the actions, shape (D,
-    A), were given at some of the frames, shape (D,).
+    The ego has poses, shape (T,) of `POSE`; the NPCs have a motion table, shape (T, n_npcs, 5); sizes are length and
+    width, the ego's first, shape (1 + n_npcs, 2) [m]; the actions, shape (D, A), were given at some of the frames,
+    shape (D,); the end is one of `ENDS`.
     """
     shape = len(time), len(sizes)
     position, heading, velocity = np.empty((*shape, 2)), np.empty(shape), np.empty((*shape, 2))
@@ -99,8 +100,8 @@ def fill_record(
     """Fill in the motion of all vehicles, the ego first, in multiples of the resolution of traces.
 
     The motion table has the shape (T, n_npcs, 5), and `directions` the cosine and sine of the NPCs' headings, (2, T,
-    n_npcs). Position, heading and velocity are filled, each of 1 + n_npcs vehicles. Return whether the ego's motion is
-    finite.
+    n_npcs). Position and velocity, shape (T, 1 + n_npcs, 2), and heading, (T, 1 + n_npcs), are filled. Return whether
+    the ego's motion is finite.
     """
     is_finite = True
     for t in range(len(ego)):

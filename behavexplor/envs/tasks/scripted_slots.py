@@ -92,8 +92,9 @@ def begin_episodes(
 
     Return whether they have room in the slots. If not, nothing is changed.
 
-    Routes are rows, shape (n_npcs,), sizes of the shape (n_npcs, 2) [m], and waypoints, positions [m] and speeds [m/s],
-    are padded with copies of the last one, shape (n_npcs, waypoints, 2).
+    `chosen` are numbers of slots, and `counts` their numbers of NPCs. Routes are rows, shape (n_npcs,), sizes of the
+    shape (n_npcs, 2) [m], and waypoints, positions [m] and speeds [m/s], are padded with copies of the last one, shape
+    (n_npcs, waypoints, 2).
     """
     n_npcs = 0
     for k in range(len(chosen)):
@@ -173,7 +174,7 @@ def move_npcs(routes: Routes, vehicles: Records, scripts: Records, phases: Float
 
 @kernel_in_place
 def fill_table(routes: Routes, scripts: Records, phases: Floats, time: Floats, table: Floats) -> None:
-    """Fill in the motion table, shape (T, n_npcs, 5), of the NPCs in a slot; see `behavexplor.data.npc_motion`."""
+    """Fill in the motion table, (T, n_npcs, 5), of a slot's NPCs at T times [s]; see `behavexplor.data.npc_motion`."""
     for i in range(table.shape[1]):
         fill_frames(routes, scripts[i].route, phases[i], scripts[i].n_phases, time, table[:, i])
 

@@ -151,7 +151,10 @@ class TaskKind:
 
 
 def make_task(env: AbstractEnv, number: int, kind: TaskKind, starts: Starts, most_decisions: int | None) -> Task:
-    """Return the starts, rewards and ends of an environment that has been reset."""
+    """Return the starts, rewards and ends of an environment that has been reset; `number` is that of its kind.
+
+    After `most_decisions`, an episode is truncated; None for no limit.
+    """
     config = env.config
     rules = np.zeros(1, TASK)
     row = rules.view(np.recarray)[0]
@@ -202,7 +205,7 @@ def no_starts() -> Starts:
 def make_starts(env: AbstractEnv, kind: TaskKind, obstacles: Records) -> Starts:
     """Return where the vehicles of an environment start, and their routes.
 
-    It makes its road and vehicles as highway-env does.
+    It has been reset, and makes its road and vehicles as highway-env does. Obstacles have the shape (n,) of `VEHICLE`.
 
     Raises:
         InputError: if its road has no lanes where vehicles would start.
