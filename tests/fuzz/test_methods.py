@@ -10,6 +10,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from functools import cache, lru_cache
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -279,6 +280,51 @@ def test_options_are_a_frozen_dataclass_that_configs_can_fill(name):
     for field in fields(options):  # each is described beside it, or by the docstring of its own class
         beside = rf"^    # .*\n    {field.name}: |^    {field.name}: .*  # "
         assert re.search(beside, source, re.MULTILINE) or is_dataclass(getattr(options(), field.name, None)), field.name
+
+
+def said_of_options(name, column=0):
+    """The defaults that docs/methods.md says in the section of a method: after its sentence on options, or in a table.
+
+    The table has the defaults in one column, and those of the preset `released` in another one.
+    """
+    page = (Path(__file__).parents[2] / "docs" / "methods.md").read_text()
+    section = page.partition(f" (`{name}`)\n")[2].partition("\n## ")[0]
+    paragraphs = [" ".join(paragraph.split()) for paragraph in section.split("\n\n")]
+    sentence = "".join(paragraph.partition("Options, with their defaults")[2] for paragraph in paragraphs)
+    table = section.partition("| option | `paper` (default) | `released` |")[2].partition("\n\n")[0]
+    rows = re.findall(r"^\| `([\w.]+)`" + r" \| `?([\w.-]+)[^|]*" * 2, table, re.MULTILINE)
+    listed = re.findall(r"`([\w.]+)` \(([^()]+)\)", sentence)
+    return {key: as_number(said) for key, said in listed + [(key, values[column]) for key, *values in rows]}
+
+
+def as_number(words):
+    try:
+        return float(words)
+    except ValueError:
+        return words
+
+
+def as_said(value):
+    if isinstance(value, tuple):
+        return ", ".join(value)
+    return {"None": "none", "True": "true"}.get(str(value), value)
+
+
+def values_of(options):
+    values = {key: attrgetter(key)(options) for key in keys(options)}
+    return {key: as_said(one) for key, one in values.items() if not is_dataclass(one)}
+
+
+@EVERY
+def test_the_page_says_every_option_with_its_default(name):
+    """It is the page on which a number of a publication stands beside its source."""
+    assert said_of_options(name) == values_of(load_method(name).Options())
+
+
+def test_the_page_says_what_the_preset_of_the_released_program_changes():
+    options = read_config("released")["options"]
+    released = checked(load_method("behavexplor").Options, options, "options")
+    assert said_of_options("behavexplor", column=1) == values_of(released)
 
 
 @EVERY
