@@ -1,5 +1,6 @@
 """The contract of every registered search method, and the registry itself."""
 
+import hashlib
 import inspect
 import json
 import math
@@ -17,13 +18,14 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from behavexplor.campaign.config import campaign_config, checked, read_config
+from behavexplor.campaign.config import REVISION, campaign_config, checked, read_config
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional import IntersectionLeftEnv, IntersectionStraightEnv, LaneChangeEnv, LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.encounters import EMPTY_ROAD
 from behavexplor.fuzz.methods import METHODS, describe_method, load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted
+from behavexplor.judge.closest_approach import Nearness
 from behavexplor.judge.specs import SPECS, Verdict, judge
 from tests.fakes import make_trace, simulate
 
@@ -325,6 +327,48 @@ def test_the_page_says_what_the_preset_of_the_released_program_changes():
     options = read_config("released")["options"]
     released = checked(load_method("behavexplor").Options, options, "options")
     assert said_of_options("behavexplor", column=1) == values_of(released)
+
+
+@EVERY
+def test_a_method_says_whether_it_uses_the_nearness_of_failures(name, monkeypatch):
+    """Judges compute it for those that say so; see `SearchMethod`."""
+    computed, original = [], Nearness.of
+    monkeypatch.setattr(Nearness, "of", lambda *given: computed.append(given) or original(*given))
+    campaign(build(name), 3)
+    assert getattr(load_method(name), "uses_nearness", False) is bool(computed)
+
+
+@pytest.mark.parametrize("name", [name for name in METHODS if hasattr(load_method(name), "foreseen")])
+def test_no_result_changes_the_candidates_that_a_method_foresees(name):
+    """They may be asked for early, and are the same then."""
+    search = build(name)
+    first = search.ask()
+    early = [first, *(search.ask() for _ in range(min(search.foreseen, 60)))]
+    assert len(early) > 10
+    assert asked([(one,) for one in early]) == asked(played(name, 1))[: len(early)]
+
+
+CANDIDATES = {  # digests of the first 80, in all versions of a revision
+    "behavexplor": "1c006bba119ac8c0",
+    "random": "ff459a7179630d5d",
+    "avfuzzer": "5d7489032017e8d9",
+    "niching": "50cc8b3e0885e90b",
+    "uniform": "625cda73b336aff1",
+}
+
+
+@pytest.mark.skipif(REVISION != 3, reason="the digests are those of revision 3")
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_a_method_asks_for_the_same_in_all_versions_of_a_revision(name):
+    """If it shall ask for something else, raise `REVISION`.
+
+    Methods that use libraries depend on their versions, too. The speeds of aimed vehicles are not rounded: their last
+    bits depend on the processor.
+    """
+    digest = hashlib.sha256()
+    for number, origin, parent, scenario in asked(played(name, 1)):
+        digest.update(f"{number} {origin} {parent} {scenario.to_json()}".encode())
+    assert digest.hexdigest()[:16] == CANDIDATES[name]
 
 
 @EVERY
