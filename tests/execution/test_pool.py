@@ -6,6 +6,8 @@ import os
 import signal
 import time
 from collections import deque
+from concurrent.futures import Future
+from itertools import count
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from threading import Lock, Thread
@@ -15,7 +17,7 @@ import pytest
 
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import ADSError
-from behavexplor.execution.pool import WorkerDiedError, WorkerPool
+from behavexplor.execution.pool import WorkerDiedError, WorkerPool, _Task, _Worker
 from behavexplor.execution.rollout import ask
 from behavexplor.execution.service import Recipe, Service
 from tests.drivers import Cruiser
@@ -268,9 +270,10 @@ def test_other_workers_start_at_once_if_there_are_more_calls_than_one_can_take(p
     for future in futures:
         future.result()
     end = time.monotonic() + 60.0
-    while len(list(folder.iterdir())) < 3 and time.monotonic() < end:
+    while pool.room < 24 and time.monotonic() < end:
         time.sleep(0.01)
     assert len(list(folder.iterdir())) == 3
+    assert pool.room == 24  # two batches of four calls for each: all are ready, also without a call
 
 
 def test_what_fails_in_company_is_called_alone(adders):
@@ -423,6 +426,33 @@ def test_everything_an_ads_raises_is_its_own_failure(error, kind):
     with pytest.raises(ADSError) as caught:
         ask(Failing(), None, None, [True], None)
     assert caught.value.kind == kind
+
+
+def test_a_worker_without_calls_is_not_waited_for():
+    pool = make_pool(time_limit=0.5)
+    first = pool.submit("echo", b"").result()
+    time.sleep(1.2)
+    assert pool.submit("echo", b"").result() == first
+    pool.shutdown()
+
+
+@pytest.mark.parametrize("alone", ["", "a", "c", "ace"])
+def test_a_call_that_needs_a_worker_to_itself_has_no_company(alone):
+    """Five calls wait, of which some need a worker to themselves, and all others fit into one batch."""
+    handed_out, calls = [], [(name, name in alone) for name in "abcde"]
+    pool = object.__new__(WorkerPool)
+    pool._lock, pool._keys, pool._time_limit = Lock(), count(), 1.0
+    pool._waiting = deque(_Task(Future(), "f", name.encode(), is_alone) for name, is_alone in calls)
+    worker = object.__new__(_Worker)
+    worker.tasks, worker.is_ready, worker.capacity, worker._together = {}, True, 9, 1
+    worker.ask = lambda tasks, _: worker.tasks.update(tasks)
+    pool._workers = [worker]
+    while pool._waiting:
+        pool._hand_out()
+        handed_out.append("".join(task.data.decode() for task in worker.tasks.values()))
+        worker.tasks.clear()
+    expected = {"": ["abcde"], "a": ["a", "bcde"], "c": ["ab", "c", "de"], "ace": ["a", "b", "c", "d", "e"]}
+    assert handed_out == expected[alone]
 
 
 def test_calls_that_another_thread_cancels_meanwhile_do_not_end_the_pool():
