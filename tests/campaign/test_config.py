@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behavexplor.campaign.config import (
+    CONFIG,
+    RUNS,
     Budget,
     CampaignConfig,
     campaign_config,
@@ -17,6 +19,7 @@ from behavexplor.campaign.config import (
     point_to_latest,
     read_config,
     run_folder,
+    stored_config,
 )
 from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import METHODS, load_method
@@ -149,6 +152,18 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory, data):
         campaign_config(read_config(str(path)))
     except InputError as error:
         assert "\n" not in str(error)
+
+
+def test_what_is_no_run_folder_is_told_how_to_name_one(tmp_path):
+    with pytest.raises(InputError, match=r"its config.yaml is missing: restore the file or start a new run"):
+        stored_config(tmp_path)
+    inside = tmp_path / RUNS / "a" / "first"
+    inside.mkdir(parents=True)
+    (inside / CONFIG).write_text("")
+    with pytest.raises(InputError, match=rf"is not a run folder, .*: name one that it holds, such as {inside}"):
+        stored_config(tmp_path)
+    with pytest.raises(InputError, match="is empty, so the configuration of the run is lost"):
+        stored_config(inside)
 
 
 def test_every_campaign_has_a_folder_of_its_own(tmp_path):

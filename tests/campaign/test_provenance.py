@@ -1,7 +1,9 @@
 """Which folders are this machine's: the list of them, and how a folder of another machine becomes one."""
 
+import os
 import re
 import stat
+import sys
 from dataclasses import replace
 
 import pytest
@@ -44,6 +46,7 @@ def test_a_folder_that_was_trusted_is_this_machines_once_all_of_it_came_out_agai
     run(config, folder, resume=False)
     stored = stored_config(folder)
     assert accepted(stored).specs == config.specs
+    assert accepted(stored).target.modules.keys() == {"own_spec_of_a_run"}
     machine("second")
     with pytest.raises(InputError, match="this machine has not made this folder") as refused:
         accepted(stored)
@@ -79,6 +82,26 @@ def test_what_a_crash_has_cut_off_spoils_no_other_line(machine):
     add_own(OTHER)
     assert is_own(ONE)
     assert is_own(OTHER)
+
+
+def test_what_a_user_does_not_say_counts_as_not_agreed():
+    assert (Consent().trust, Consent().unconfined, Consent().names) == ((), False, ())
+
+
+def test_code_that_was_replaced_since_the_run_was_made_is_not_imported(machine, config, tmp_path):
+    run(config, tmp_path / "run", resume=False)
+    del sys.modules["own_spec_of_a_run"]
+    (tmp_path / "own_spec_of_a_run.py").write_text("raise SystemExit\n")
+    with pytest.raises(InputError, match="this machine has not made this folder, or it has changed since"):
+        accepted(stored_config(tmp_path / "run"))
+
+
+def test_a_line_and_the_name_of_a_new_list_are_flushed_to_disk(machine, monkeypatch):
+    flushed, fsync = [], os.fsync
+    monkeypatch.setattr(os, "fsync", lambda file: flushed.append(stat.S_ISDIR(os.fstat(file).st_mode)) or fsync(file))
+    add_own(ONE)
+    add_own(OTHER)
+    assert flushed == [False, True, False]
 
 
 @pytest.mark.parametrize("mode", [0o620, 0o602])
