@@ -2,7 +2,9 @@
 
 import gc
 import math
+import multiprocessing
 import os
+import resource
 import signal
 import time
 from collections import deque
@@ -49,6 +51,14 @@ def sleeping(data):
     return b"awake"
 
 
+def limit_of_memory(data):
+    return str(resource.getrlimit(resource.RLIMIT_DATA)[0] / 2**30).encode()
+
+
+def may_have_children(data):
+    return str(not multiprocessing.current_process().daemon).encode()
+
+
 def collecting(data):
     return str(gc.isenabled()).encode()
 
@@ -62,7 +72,10 @@ class Functions(Service):
 
     functions = {
         function.__name__: function
-        for function in (echo, raising, dying, dying_once, sleeping, collecting, failing_ads)
+        for function in (
+            *(echo, raising, dying, dying_once, sleeping, collecting, failing_ads),
+            *(limit_of_memory, may_have_children),
+        )
     }
 
 
@@ -112,6 +125,11 @@ def test_workers_collect_garbage(pool):
     assert pool.submit("collecting", b"").result() == b"True"
 
 
+def test_a_worker_has_its_limit_of_memory_and_no_children_that_would_outlive_it(pool):
+    assert float(pool.submit("limit_of_memory", b"").result()) == 8.0
+    assert pool.submit("may_have_children", b"").result() == b"False"
+
+
 def test_an_exception_comes_back_as_words(pool):
     with pytest.raises(RuntimeError, match="LookupError: nothing there"):
         pool.submit("raising", b"nothing there").result()
@@ -132,10 +150,12 @@ def test_a_dead_worker_costs_its_own_task_and_no_other(pool):
 
 def test_a_worker_that_takes_too_long_is_replaced():
     pool = make_pool(time_limit=0.5)
+    process = int(pool.submit("echo", b"").result())
     late, after = pool.submit("sleeping", b"60"), pool.submit("echo", b"next")
     with pytest.raises(WorkerDiedError, match=r"no answer within 0\.5 s"):
         late.result()
     assert after.result().startswith(b"next")
+    assert not is_running(process)
     pool.shutdown()
 
 
@@ -327,7 +347,7 @@ class Patient(Functions):
 
     def __init__(self):
         self.stopped = False
-        self.functions = {"wait": self.wait, "echo": echo}
+        self.functions = {"wait": self.wait, "echo": echo, "may_have_children": may_have_children}
 
     def stop(self):
         self.stopped = True
@@ -345,6 +365,7 @@ def test_long_calls_end_early_when_they_are_told_to_and_each_has_a_process(tmp_p
     pool = WorkerPool(1, made, math.inf, math.inf)
     first, second = (pool.submit("echo", b"").result() for _ in range(2))
     assert first != second
+    assert pool.submit("may_have_children", b"").result() == b"True"
     running, waiting = pool.submit("wait", str(tmp_path / "begun").encode()), pool.submit("echo", b"")
     while not (tmp_path / "begun").exists():
         time.sleep(0.01)
@@ -436,23 +457,31 @@ def test_a_worker_without_calls_is_not_waited_for():
     pool.shutdown()
 
 
-@pytest.mark.parametrize("alone", ["", "a", "c", "ace"])
-def test_a_call_that_needs_a_worker_to_itself_has_no_company(alone):
-    """Five calls wait, of which some need a worker to themselves, and all others fit into one batch."""
+@pytest.mark.parametrize(
+    ("alone", "capacity", "expected"),
+    [
+        ("", 9, ["abcde"]),
+        ("", 2, ["ab", "cd", "e"]),
+        ("a", 9, ["a", "bcde"]),
+        ("c", 9, ["ab", "c", "de"]),
+        ("ace", 9, ["a", "b", "c", "d", "e"]),
+    ],
+)
+def test_a_worker_gets_as_many_calls_as_it_can_take_or_one_that_needs_it_to_itself(alone, capacity, expected):
+    """Five calls wait."""
     handed_out, calls = [], [(name, name in alone) for name in "abcde"]
     pool = object.__new__(WorkerPool)
     pool._lock, pool._keys, pool._time_limit = Lock(), count(), 1.0
     pool._waiting = deque(_Task(Future(), "f", name.encode(), is_alone) for name, is_alone in calls)
     worker = object.__new__(_Worker)
-    worker.tasks, worker.is_ready, worker.capacity, worker._together = {}, True, 9, 1
+    worker.tasks, worker.is_ready, worker.capacity, worker._together = {}, True, capacity, 1
     worker.ask = lambda tasks, _: worker.tasks.update(tasks)
     pool._workers = [worker]
     while pool._waiting:
         pool._hand_out()
         handed_out.append("".join(task.data.decode() for task in worker.tasks.values()))
         worker.tasks.clear()
-    expected = {"": ["abcde"], "a": ["a", "bcde"], "c": ["ab", "c", "de"], "ace": ["a", "b", "c", "d", "e"]}
-    assert handed_out == expected[alone]
+    assert handed_out == expected
 
 
 def test_calls_that_another_thread_cancels_meanwhile_do_not_end_the_pool():

@@ -168,6 +168,14 @@ def test_the_nearest_of_the_elites_becomes_the_parent_most_often():
     assert [parents[number] / 600 for number in (2, 3, 1)] == pytest.approx(shares, abs=0.06)
 
 
+def test_each_mutant_is_a_try_of_its_niche_and_no_uniform_scenario_is():
+    search = Encounters(LOGICAL, 0, EncountersOptions(initial=1, aimed_share=0.0, uniform_share=0.3))
+    told(search, 5.0)
+    origins = [search.ask().origin for _ in range(30)]
+    (niche,) = search.niches.values()
+    assert 0 < origins.count(UNIFORM) == 30 - niche.tries < 30
+
+
 def test_an_improvement_makes_up_for_half_of_the_tries():
     search = Encounters(LOGICAL, 0, EncountersOptions())
     told(search, 5.0)
