@@ -45,7 +45,9 @@ def test_a_folder_that_was_trusted_is_this_machines_once_all_of_it_came_out_agai
     folder = tmp_path / "run"
     run(config, folder, resume=False)
     stored = stored_config(folder)
+    del sys.modules["own_spec_of_a_run"]
     assert accepted(stored).specs == config.specs
+    assert "own_spec_of_a_run" in sys.modules  # from the very bytes that were looked at
     assert accepted(stored).target.modules.keys() == {"own_spec_of_a_run"}
     machine("second")
     with pytest.raises(InputError, match="this machine has not made this folder") as refused:
