@@ -320,6 +320,7 @@ def test_earlier_running_time_is_told_apart(tmp_path):
     run(tmp_path / "a", budget="30", observe=last.append)
     assert first.earlier == 0.0
     assert 0.0 < last[-1].earlier <= first.elapsed < last[-1].elapsed
+    assert (first.resumed, last[-1].resumed, last[-1].executions) == (0, 20, 30)
     assert last[-1].executing <= last[-1].elapsed - last[-1].earlier
 
 

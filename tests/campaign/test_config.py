@@ -1,5 +1,6 @@
 """Configurations: one sentence for whatever is wrong, and a file that makes the same campaign again."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from behavexplor.campaign.config import (
     Budget,
     CampaignConfig,
     campaign_config,
+    check_said_twice,
     checked,
     point_to_latest,
     read_config,
@@ -152,6 +154,25 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory, data):
         campaign_config(read_config(str(path)))
     except InputError as error:
         assert "\n" not in str(error)
+
+
+DIGESTS = [f"sha256:{digit * 64}" for digit in "12"]
+
+
+@pytest.mark.parametrize(
+    ("values", "given_too", "words"),
+    [
+        ({"trust": DIGESTS}, {"trust": DIGESTS}, ""),
+        ({"trust": DIGESTS}, {"trust": DIGESTS[:1]}, f"trusts {DIGESTS[1]}, .*: add --trust {DIGESTS[1]}"),
+        ({"trust": tuple(DIGESTS)}, {}, f"trusts {DIGESTS[0]}"),
+        ({"unconfined": True}, {}, "says `unconfined`, .*: add --unconfined"),
+        ({"unconfined": True}, {"unconfined": True}, ""),
+        ({"unconfined": False, "trust": []}, {}, ""),
+    ],
+)
+def test_trust_in_a_file_counts_only_if_it_is_said_on_the_command_line_too(values, given_too, words):
+    with pytest.raises(InputError, match=words) if words else nullcontext():
+        check_said_twice(values, given_too, "file.yaml")
 
 
 def test_what_is_no_run_folder_is_told_how_to_name_one(tmp_path):

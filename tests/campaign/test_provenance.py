@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.provenance import Consent, accepted, add_own, is_own, list_path, remember
 from behavexplor.errors import InputError
@@ -64,6 +64,11 @@ def test_a_larger_budget_leaves_a_folder_this_machines_and_another_seed_does_not
     run(config, tmp_path / "run", resume=False)
     stored = stored_config(tmp_path / "run")
     assert accepted(replace(stored, says=replace(config, budget="30")))
+    file = tmp_path / "run" / CONFIG
+    lines = file.read_text().splitlines()
+    assert lines.index("budget: '3'") < lines.index("seed: 0")  # neither of which has lines that belong to it
+    file.write_text("\n".join(sorted(lines, key=lambda line: line == "budget: '3'")) + "\n")
+    assert accepted(stored_config(tmp_path / "run")) == accepted(stored)
     with pytest.raises(InputError, match="this machine has not made this folder"):
         accepted(replace(stored, says=replace(config, seed=9)))
 

@@ -77,6 +77,8 @@ def test_executing_and_analysing_are_all_stages_but_the_start():
     executing, analysing = executing_and_analysing(stages)
     assert executing == stages[Stage.EXECUTING] + stages[Stage.WAITING]
     assert executing + analysing + stages[Stage.STARTING] == sum(stages.values())
+    assert executing_and_analysing({"waiting": 2.0, "mining": 3.0}) == (2.0, 3.0)
+    assert executing_and_analysing({"executing": 2.0, "starting": 3.0}) == (2.0, 0.0)
     assert all(map(math.isnan, executing_and_analysing({})))
 
 

@@ -200,6 +200,23 @@ def test_a_record_whose_outcome_and_scenario_are_written_is_the_same():
     assert made.to_dict() == whole.to_dict()
 
 
+def test_a_database_without_a_format_is_not_written(store):
+    filled(store).close()
+    changed(store.folder / DATABASE, "DELETE FROM meta")
+    for use in (Store.read, Store.reopen):
+        with pytest.raises(InputError, match="has format none, but this version reads 3: it is damaged"):
+            use(store.folder)
+
+
+def test_a_record_of_an_earlier_version_may_have_fewer_fields():
+    record = Record.from_json('{"id": 4, "end": "arrived", "violated": [], "scenario": {}, "later": 1}')
+    assert (record.id, record.end, record.failed, record.novel) == (4, "arrived", False, False)
+    assert record.degrees == record.search == {}
+    for wrong in ('{"id": "4", "end": "arrived", "violated": [], "scenario": {}}', '{"id": 4}', "[]", ""):
+        with pytest.raises(ValueError, match=r"id|end|record"):
+            Record.from_json(wrong)
+
+
 def settings_of(connection):
     names = ("journal_mode", "synchronous", "trusted_schema", "cell_size_check")
     return [connection.execute(f"PRAGMA {name}").fetchone()[0] for name in names]
@@ -254,10 +271,11 @@ def open_files(folder):
         lambda path: path.write_bytes(b"rubbish" * 1000),
         lambda path: path.write_bytes(b""),
         lambda path: changed(path, "UPDATE meta SET value = '99'"),
+        lambda path: changed(path, "DELETE FROM meta"),
         lambda path: changed(path, "CREATE TABLE more (x)"),
         lambda path: (path.parent / "failures").rename(path.parent / "gone").joinpath("..", "failures").write_text(""),
     ],
-    ids=["rubbish", "empty", "format", "table", "failures"],
+    ids=["rubbish", "empty", "format", "no-format", "table", "failures"],
 )
 @pytest.mark.parametrize("use", [Store.read, Store.reopen])
 def test_a_run_that_is_refused_is_not_held_open(tmp_path, spoil, use):

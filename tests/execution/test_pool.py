@@ -1,6 +1,8 @@
 """Worker processes: whatever happens in one, its task has an outcome and the others go on."""
 
+import fcntl
 import gc
+import logging
 import math
 import multiprocessing
 import os
@@ -59,6 +61,17 @@ def may_have_children(data):
     return str(not multiprocessing.current_process().daemon).encode()
 
 
+def levels_of_loggers(data):
+    return " ".join(logging.getLogger(name).getEffectiveLevel() * "x" for name in data.decode().split()).encode()
+
+
+def writable_pipes(data):
+    """The pipes into which a process can write, beside its standard files."""
+    places = {int(file.name): file for file in Path("/proc/self/fd").iterdir() if file.exists()}
+    pipes = [number for number, file in places.items() if number > 2 and file.is_fifo()]
+    return b" ".join(b"%d" % one for one in pipes if fcntl.fcntl(one, fcntl.F_GETFL) & os.O_ACCMODE == os.O_WRONLY)
+
+
 def collecting(data):
     return str(gc.isenabled()).encode()
 
@@ -74,7 +87,7 @@ class Functions(Service):
         function.__name__: function
         for function in (
             *(echo, raising, dying, dying_once, sleeping, collecting, failing_ads),
-            *(limit_of_memory, may_have_children),
+            *(limit_of_memory, may_have_children, levels_of_loggers, writable_pipes),
         )
     }
 
@@ -128,6 +141,16 @@ def test_workers_collect_garbage(pool):
 def test_a_worker_has_its_limit_of_memory_and_no_children_that_would_outlive_it(pool):
     assert float(pool.submit("limit_of_memory", b"").result()) == 8.0
     assert pool.submit("may_have_children", b"").result() == b"False"
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs the files in /proc")
+def test_a_worker_can_write_into_no_pipe_of_those_that_begin_workers(pool):
+    assert pool.submit("writable_pipes", b"").result() == b""
+
+
+def test_a_worker_does_not_say_that_it_compiles_or_has_no_home(pool):
+    levels = pool.submit("levels_of_loggers", b"behavexplor.jit matplotlib other").result().split()
+    assert [len(level) for level in levels] == [logging.ERROR, logging.ERROR, logging.WARNING]
 
 
 def test_an_exception_comes_back_as_words(pool):
@@ -265,6 +288,14 @@ def test_calls_are_worked_on_together_as_many_as_there_is_room_for(adders):
     assert [future.result() for future in futures] == [b"0"] * 41
     sizes = {int(line) for line in file.read_text().split()}
     assert max(sizes) == 3
+
+
+def test_an_answer_does_not_wait_for_that_of_a_longer_call(adders):
+    pool, _ = adders
+    pool.submit("count_down", b"1").result()
+    long, short = pool.submit("count_down", b"10000000"), pool.submit("count_down", b"1")
+    assert short.result(20) == b"0"
+    assert not long.done()
 
 
 def test_one_worker_does_it_all_while_its_caller_has_other_things_to_do(pool_of_slow):

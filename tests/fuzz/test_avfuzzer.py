@@ -118,7 +118,7 @@ def test_a_better_best_after_two_generations_starts_the_local_fuzzer():
     assert search._local is None
     candidates = run(search, 4, lambda number: 0.5 if number == 9 else 0.1)
     assert search._local is not None
-    assert search.status()["local"] == 1
+    assert search.status() == {"best_fitness": pytest.approx(0.5), "restarts": 0, "local": 1}
     local = run(search, 20, lambda number: 0.9 if number == 30 else 0.2)
     assert origins(local) == ["local"] * 20
     assert {candidate.parent for candidate in local[:4]} == {candidates[1].number}
