@@ -128,10 +128,15 @@ def test_a_policy_that_went_elsewhere_while_it_was_trained_is_fit():
     assert warnings_about(Trained(seen)) == []
 
 
+@pytest.fixture(scope="module")
+def scenes():
+    return seen_by(Cruiser())
+
+
 @pytest.mark.parametrize(("share", "is_named"), [(0.39, False), (0.41, True)])
-def test_up_to_two_fifths_of_the_values_may_lie_elsewhere(share, is_named):
+def test_up_to_two_fifths_of_the_values_may_lie_elsewhere(scenes, share, is_named):
     """Policies that were trained for a short time reach a third; without its statistics one has four fifths."""
-    seen = seen_by(Cruiser())
+    seen = scenes.copy()
     elsewhere = np.random.default_rng(0).permutation(seen.size)[: int(share * seen.size)]
     seen.reshape(-1)[elsewhere] = 1e6
     said = warnings_about(Trained(seen))
@@ -139,10 +144,9 @@ def test_up_to_two_fifths_of_the_values_may_lie_elsewhere(share, is_named):
 
 
 @pytest.mark.parametrize(("beyond", "is_named"), [(0.24, False), (0.27, True)])
-def test_values_may_lie_beyond_the_range_by_a_quarter_of_it(beyond, is_named):
-    seen = seen_by(Cruiser())
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    found = preflight._foreign(seen, np.where(high - low > 1.0, low - beyond * (high - low), 1e6)[None])
+def test_values_may_lie_beyond_the_range_by_a_quarter_of_it(scenes, beyond, is_named):
+    low, high = scenes.min(axis=0), scenes.max(axis=0)
+    found = preflight._foreign(scenes, np.where(high - low > 1.0, low - beyond * (high - low), 1e6)[None])
     assert (found or "").startswith("100%") is is_named
 
 

@@ -334,7 +334,7 @@ def test_a_method_says_whether_it_uses_the_nearness_of_failures(name, monkeypatc
     """Judges compute it for those that say so; see `SearchMethod`."""
     computed, original = [], Nearness.of
     monkeypatch.setattr(Nearness, "of", lambda *given: computed.append(given) or original(*given))
-    campaign(build(name), 3)
+    campaign(build(name), 1)
     assert getattr(load_method(name), "uses_nearness", False) is bool(computed)
 
 
