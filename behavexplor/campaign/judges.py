@@ -52,7 +52,7 @@ class JudgeService(Service):
         nearness: whether to compute how near executions came to a failure, too.
     """
 
-    def __init__(self, env: str = "", logical: str = "", *, nearness: bool = False) -> None:
+    def __init__(self, env: str = "", logical: str = "", *, nearness: bool) -> None:
         named: LogicalScenario | None = LOGICAL_SCENARIOS.get(env)
         self._logical = DrawnLogicalScenario.from_json(logical) if logical else named
         self._nearness = nearness

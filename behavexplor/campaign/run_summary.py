@@ -5,12 +5,12 @@ Also the records of each class, and lines of Python that drive an execution agai
 
 from collections.abc import Iterable, Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from math import inf
 from pathlib import Path
 from typing import Any
 
-from behavexplor.campaign.config import Budget, CampaignConfig, stored_config
+from behavexplor.campaign.config import Budget, stored_config
 from behavexplor.campaign.confirmation import known, not_confirmed
 from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.progress import ClassSummary, Progress
@@ -55,11 +55,11 @@ class RunSummary:
     at_fault: int
     violations: Mapping[str, int]
     classes: tuple[ClassSummary, ...]
-    digests: Mapping[str, str] = field(default_factory=dict)
-    libraries: Mapping[str, str] = field(default_factory=dict)
-    uniform: UniformRate | None = None
-    confirmed: int = 0
-    not_confirmed: tuple[str, ...] = ()
+    digests: Mapping[str, str]
+    libraries: Mapping[str, str]
+    uniform: UniformRate | None
+    confirmed: int
+    not_confirmed: tuple[str, ...]
 
     @property
     def words(self) -> str:
@@ -98,23 +98,15 @@ def summarize(run: Path) -> RunSummary:
         InputError: if the folder is not a run folder, or is damaged.
     """
     config = stored_config(run).says
+    budget = Budget.parse(config.budget)
     with closing(Store.read(run)) as store:
         found = Progress(elapsed=store.elapsed)
         for record in store.records():
             found = found.after(record, resumed=True)
-        begun = begun_with(store) or Identity()
-        summary = _summary(config, found, ended=store.ended is not None)
-        uniform = own_rate(
-            config.method, found.executions, found.failed, Budget.parse(config.budget), UniformRate.stored(store)
-        )
-        tried = known(run)
-        unsure = tuple(not_confirmed(tried))
-        about = replace(summary, confirmed=len(tried) - len(unsure), not_confirmed=unsure, uniform=uniform)
-        return replace(about, digests=begun.digests, libraries=begun.libraries)
-
-
-def _summary(config: CampaignConfig, found: Progress, *, ended: bool) -> RunSummary:
-    budget = Budget.parse(config.budget)
+        begun, ended = begun_with(store) or Identity(), store.ended is not None
+        beside = UniformRate.stored(store)
+    tried = known(run)
+    unsure = tuple(not_confirmed(tried))
     return RunSummary(
         env=config.env,
         ads=config.ads,
@@ -128,6 +120,11 @@ def _summary(config: CampaignConfig, found: Progress, *, ended: bool) -> RunSumm
         at_fault=found.at_fault,
         violations=found.violations,
         classes=found.largest_first,
+        digests=begun.digests,
+        libraries=begun.libraries,
+        uniform=own_rate(config.method, found.executions, found.failed, budget, beside),
+        confirmed=len(tried) - len(unsure),
+        not_confirmed=unsure,
     )
 
 

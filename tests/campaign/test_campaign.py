@@ -3,8 +3,10 @@
 import sqlite3
 from collections import Counter
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import closing
 from functools import cache
 
+import numpy as np
 import pytest
 
 from behavexplor.behavior.miner import NoveltyArchive
@@ -13,6 +15,7 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judgment import judgment
 from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
+from behavexplor.campaign.uniform_rate import UniformRate
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional import IntersectionStraightEnv
@@ -317,6 +320,7 @@ def test_earlier_running_time_is_told_apart(tmp_path):
     run(tmp_path / "a", budget="30", observe=last.append)
     assert first.earlier == 0.0
     assert 0.0 < last[-1].earlier <= first.elapsed < last[-1].elapsed
+    assert (first.resumed, last[-1].resumed, last[-1].executions) == (0, 20, 30)
     assert last[-1].executing <= last[-1].elapsed - last[-1].earlier
 
 
@@ -343,6 +347,52 @@ def test_progress_counts_each_failure_once(tmp_path):
     assert progress.failed == sum(progress.violations.values()) == sum(bool(r["violated"]) for r in records)
     assert progress.novel == sum(r["novel"] for r in records)
     assert progress.elapsed > 0
+
+
+@pytest.mark.parametrize(("count", "words"), [(1, "Stopped after 1 failure, "), (3, "Stopped after 3 failures, ")])
+def test_a_campaign_stops_after_so_many_failures(tmp_path, recorded, count, words):
+    whole = recorded("uniform")
+    last = [record["id"] for record in whole if record["violated"]][count - 1]
+    config = CampaignConfig(budget="40", seed=3, method="uniform")
+    with closing(Store.create(tmp_path / "run", config.to_yaml())) as store:
+        campaign = Campaign(config, search_method(config, LOGICAL), LOGICAL, store, FakeExecutor(), stop_after=count)
+        assert campaign.run(lambda _: None) == f"{words}as asked for"
+        assert [execution.record.to_dict() for execution in store.executions()] == whole[: last + 1]
+
+
+def test_a_campaign_that_goes_on_stops_only_when_all_that_it_has_came_out_again(tmp_path, recorded):
+    """Of the eight in flight, the last ones are new, and are left."""
+    config, executed = CampaignConfig(budget="40", seed=3, method="uniform"), []
+    run(tmp_path / "run", method="uniform", budget="30")
+    with closing(Store.reopen(tmp_path / "run")) as store:
+        method = search_method(config, LOGICAL)
+        campaign = Campaign(config, method, LOGICAL, store, FakeExecutor(executed), stop_after=1)
+        failed = sum(bool(record["violated"]) for record in recorded("uniform")[:30])
+        assert campaign.run(lambda _: None) == f"Stopped after {failed} failures, as asked for"
+        assert campaign.is_replayed
+        assert (len(store), len(executed)) == (30, 7)
+
+
+def test_other_scenarios_are_drawn_uniformly_as_in_all_versions_of_a_revision(tmp_path):
+    """Their random numbers begin with the word "unif"; they are a fourth of the campaign's, and 200 at most."""
+    config, executed = CampaignConfig(budget="13", seed=3, method="random", batch=1), []
+    with closing(Store.create(tmp_path / "run", config.to_yaml())) as store:
+        campaign = Campaign(config, search_method(config, LOGICAL), LOGICAL, store, FakeExecutor(executed))
+        campaign.run(lambda _: None)
+        del executed[:]
+        campaign.drive_uniformly()
+        generator = np.random.default_rng([int.from_bytes(b"unif"), 3])
+        assert [parse_scenario(one.decode()) for one in executed] == [LOGICAL.sample(generator) for _ in range(3)]
+        assert UniformRate.stored(store).n == 3
+
+
+@pytest.mark.parametrize(("executions", "count"), [(799, 199), (900, 200)])
+def test_of_long_campaigns_two_hundred_other_scenarios_are_executed(tmp_path, monkeypatch, executions, count):
+    config, executed = CampaignConfig(budget="1000", method="random"), []
+    monkeypatch.setattr(Store, "__len__", lambda _: executions)
+    with closing(Store.create(tmp_path / "run", config.to_yaml())) as store:
+        Campaign(config, search_method(config, LOGICAL), LOGICAL, store, FakeExecutor(executed)).drive_uniformly()
+    assert len(executed) == count
 
 
 def test_a_time_budget_ends(tmp_path):

@@ -1,5 +1,7 @@
 """Configurations: one sentence for whatever is wrong, and a file that makes the same campaign again."""
 
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,19 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, checked, read_config
+from behavexplor.campaign.config import (
+    CONFIG,
+    RUNS,
+    Budget,
+    CampaignConfig,
+    campaign_config,
+    check_said_twice,
+    checked,
+    point_to_latest,
+    read_config,
+    run_folder,
+    stored_config,
+)
 from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import METHODS, load_method
 
@@ -41,6 +55,11 @@ def test_a_value_that_cannot_be_stored_is_named(name):
         CampaignConfig(**{name: {"patience": np.int64(3)}}).to_yaml()
 
 
+@pytest.mark.parametrize("values", [{"seed": 0, "batch": 1}, {"seed": 2**63 - 1, "batch": 10_000}])
+def test_limits_are_allowed_themselves(values):
+    assert campaign_config(values).stated().items() >= values.items()
+
+
 @given(st.builds(CampaignConfig, seed=st.integers(0, 2**63 - 1), batch=st.integers(1, 100), budget=st.just("30m")))
 def test_yaml_makes_the_same_campaign(config):
     assert campaign_config(yaml.safe_load(config.to_yaml())) == config
@@ -52,7 +71,9 @@ def test_yaml_makes_the_same_campaign(config):
         ({"enw": "x"}, "Unknown key of the configuration 'enw': did you mean 'env'?"),
         ({"seed": "many"}, "seed of the configuration"),
         ({"seed": -1}, "The seed -1"),
+        ({"seed": 2**63}, "The seed 9223372036854775808 must be a whole number from 0 to 2^63 - 1"),
         ({"batch": 0}, "The batch 0"),
+        ({"batch": 10_001}, "The batch 10001 must lie between 1 and 10000"),
         ({"budget": "soon"}, "The budget 'soon'"),
         ({"options": 3}, "options of the configuration"),
     ],
@@ -133,3 +154,62 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory, data):
         campaign_config(read_config(str(path)))
     except InputError as error:
         assert "\n" not in str(error)
+
+
+DIGESTS = [f"sha256:{digit * 64}" for digit in "12"]
+
+
+@pytest.mark.parametrize(
+    ("values", "given_too", "words"),
+    [
+        ({"trust": DIGESTS}, {"trust": DIGESTS}, ""),
+        ({"trust": DIGESTS}, {"trust": DIGESTS[:1]}, f"trusts {DIGESTS[1]}, .*: add --trust {DIGESTS[1]}"),
+        ({"trust": tuple(DIGESTS)}, {}, f"trusts {DIGESTS[0]}"),
+        ({"unconfined": True}, {}, "says `unconfined`, .*: add --unconfined"),
+        ({"unconfined": True}, {"unconfined": True}, ""),
+        ({"unconfined": False, "trust": []}, {}, ""),
+    ],
+)
+def test_trust_in_a_file_counts_only_if_it_is_said_on_the_command_line_too(values, given_too, words):
+    with pytest.raises(InputError, match=words) if words else nullcontext():
+        check_said_twice(values, given_too, "file.yaml")
+
+
+def test_what_is_no_run_folder_is_told_how_to_name_one(tmp_path):
+    with pytest.raises(InputError, match=r"its config.yaml is missing: restore the file or start a new run"):
+        stored_config(tmp_path)
+    inside = tmp_path / RUNS / "a" / "first"
+    inside.mkdir(parents=True)
+    (inside / CONFIG).write_text("")
+    with pytest.raises(InputError, match=rf"is not a run folder, .*: name one that it holds, such as {inside}"):
+        stored_config(tmp_path)
+    with pytest.raises(InputError, match="is empty, so the configuration of the run is lost"):
+        stored_config(inside)
+
+
+def test_every_campaign_has_a_folder_of_its_own(tmp_path):
+    config = CampaignConfig(ads="models/best one.zip", env="behavexplor/lane-follow-v0")
+    folders = set()
+    for _ in range(4):
+        folder = run_folder(config, tmp_path)
+        folder.mkdir()
+        folders.add(folder)
+    assert len(folders) == 4
+    assert {folder.parent for folder in folders} == {tmp_path}
+    assert all(folder.name.startswith("lane-follow-v0-best-one-behavexplor-0-") for folder in folders)
+    long = replace(config, ads=f"{240 * 'm'}.zip")
+    run_folder(long, tmp_path).mkdir()
+
+
+def test_the_latest_run_has_a_name_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr("behavexplor.campaign.config.RUNS", tmp_path)
+    point_to_latest(tmp_path / "elsewhere" / "run")
+    assert not list(tmp_path.iterdir())
+    for name in ("first", "second"):
+        point_to_latest(tmp_path / name)
+        assert (tmp_path / "latest").readlink() == Path(name)
+    (tmp_path / "latest").unlink()
+    (tmp_path / "latest").mkdir()
+    point_to_latest(tmp_path / "third")
+    assert (tmp_path / "latest").is_dir()
+    assert not (tmp_path / "latest").is_symlink()

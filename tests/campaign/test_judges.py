@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from behavexplor.behavior.features import state_matrix
+from behavexplor.campaign import judges as judges_module
 from behavexplor.campaign import opening
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
@@ -26,6 +27,7 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.messages import packed, unpacked
+from behavexplor.execution.start import start_executor
 from behavexplor.judge.closest_approach import Nearness
 from behavexplor.judge.specs import SPECS, judge
 from tests.fakes import LOGICAL, simulate
@@ -123,6 +125,79 @@ def test_what_waits_behind_a_group_that_fails_is_judged_nevertheless():
     assert first.exception(0).args == ("a worker ended",)
     answers[1].set_result(packed([judged(TRACES[1])]))
     assert second.result(0).data == TRACES[1]
+
+
+@pytest.mark.parametrize(("workers", "processes"), [(1, 1), (4, 1), (5, 2)])
+def test_each_process_has_one_group_at_a_time_with_all_that_has_come_since(workers, processes):
+    """There is a process for each four workers."""
+    made, groups, answers = Judges(workers), [], []
+
+    def submit(_, data):
+        groups.append(unpacked(data)[1::2])
+        answers.append(Future())
+        return answers[-1]
+
+    made._pool = SimpleNamespace(submit=submit)
+    futures = [made.follow(done(data)) for data in TRACES[:6]]
+    assert groups == [[data] for data in TRACES[:processes]]
+    for number in range(3):
+        answers[number].set_result(packed([judged(data) for data in groups[number]]))
+        futures.append(made.follow(done(TRACES[6 + number])))
+        assert sum(not answer.done() for answer in answers) == processes
+    assert groups[processes] == TRACES[processes:6]
+    assert [data for group in groups for data in group] == TRACES[: sum(map(len, groups))]
+
+
+@pytest.mark.parametrize(
+    ("workers", "logical", "begun", "can_draw"),
+    [
+        (1, LOGICAL, None, True),  # they are still loading, and will draw
+        (1, LOGICAL, b"", True),
+        (1, LOGICAL, RuntimeError("they cannot begin"), False),
+        (0, LOGICAL, None, False),
+        (1, None, b"", False),
+    ],
+)
+def test_judges_that_know_where_they_are_draw_scenarios_from_the_beginning(
+    monkeypatch, workers, logical, begun, can_draw
+):
+    first = Future()
+    if begun is not None:
+        (first.set_exception if isinstance(begun, Exception) else first.set_result)(begun)
+    monkeypatch.setattr(judges_module, "WorkerPool", lambda *_: SimpleNamespace(submit=lambda *_: first))
+    assert Judges(workers, logical).can_draw is can_draw
+
+
+def lasts(trace):
+    """A requirement of a user."""
+    return trace.duration
+
+
+@pytest.mark.parametrize(
+    ("budget", "workers", "settings", "expected"),
+    [
+        ("1499", 3, {}, None),
+        ("1500", 3, {}, (3, False)),
+        ("1h", 3, {}, (3, False)),
+        ("1500", 3, {"method": "niching"}, (3, True)),
+        ("1500", 0, {}, None),
+        ("1500", 3, {"specs": (f"{__name__}:lasts",)}, None),
+    ],
+)
+def test_long_campaigns_with_workers_and_built_in_specs_have_judges(
+    tmp_path, monkeypatch, budget, workers, settings, expected
+):
+    made = []
+
+    def noted(count, logical, *, nearness):
+        made.append((count, nearness))
+        return SimpleNamespace(shutdown=lambda: None)
+
+    monkeypatch.setattr(opening, "Judges", noted)
+    monkeypatch.setattr(opening, "start_executor", lambda target, _, *given: start_executor(target, 0, *given))
+    config = CampaignConfig(env="lane-follow", ads="constant", budget=budget, **settings)
+    with opened(config, tmp_path / "run", workers, resume=False):
+        assert made == ([] if expected is None else [expected])
 
 
 def test_messages_are_taken_apart():

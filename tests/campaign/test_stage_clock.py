@@ -17,7 +17,13 @@ from behavexplor.report.charts import stage_parts
 
 
 @pytest.fixture
-def run(tmp_path):
+def begun():
+    """When the test began, by the clock that the stages are measured with."""
+    return time.monotonic()
+
+
+@pytest.fixture
+def run(tmp_path, begun):
     arguments = ["--ads", "tests.drivers:cruiser", "--method", "uniform", "--budget", "4", "--unconfined"]
     assert main(["fuzz", *arguments, "--workers", "0", "--quiet", "--out", str(tmp_path / "run")]) == OK
     return tmp_path / "run"
@@ -41,8 +47,9 @@ def test_the_clock_counts_each_stage_and_continues_after_an_interruption():
     assert sum(clock.seconds.values()) == clock.seconds[Stage.JUDGING]
 
 
-def test_a_run_keeps_the_time_in_each_stage_and_a_resumed_one_adds_to_it(run):
+def test_a_run_keeps_the_time_in_each_stage_and_a_resumed_one_adds_to_it(begun, run):
     first, elapsed = stages_of(run)
+    assert sum(first.values()) < time.monotonic() - begun
     assert list(first) == list(STAGES)
     assert first[Stage.STARTING] > 0 < first[Stage.EXECUTING]
     assert first[Stage.WAITING] == 0
@@ -70,6 +77,8 @@ def test_executing_and_analysing_are_all_stages_but_the_start():
     executing, analysing = executing_and_analysing(stages)
     assert executing == stages[Stage.EXECUTING] + stages[Stage.WAITING]
     assert executing + analysing + stages[Stage.STARTING] == sum(stages.values())
+    assert executing_and_analysing({"waiting": 2.0, "mining": 3.0}) == (2.0, 3.0)
+    assert executing_and_analysing({"executing": 2.0, "starting": 3.0}) == (2.0, 0.0)
     assert all(map(math.isnan, executing_and_analysing({})))
 
 

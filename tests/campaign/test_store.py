@@ -198,3 +198,97 @@ def test_a_record_whose_outcome_and_scenario_are_written_is_the_same():
     assert made.to_json() == whole.to_json()
     assert (made, made.load_scenario()) == (whole, whole.load_scenario())
     assert made.to_dict() == whole.to_dict()
+
+
+def test_a_database_without_a_format_is_not_written(store):
+    filled(store).close()
+    changed(store.folder / DATABASE, "DELETE FROM meta")
+    for use in (Store.read, Store.reopen):
+        with pytest.raises(InputError, match="has format none, but this version reads 3: it is damaged"):
+            use(store.folder)
+
+
+def test_a_record_of_an_earlier_version_may_have_fewer_fields():
+    record = Record.from_json('{"id": 4, "end": "arrived", "violated": [], "scenario": {}, "later": 1}')
+    assert (record.id, record.end, record.failed, record.novel) == (4, "arrived", False, False)
+    assert record.degrees == record.search == {}
+    for wrong in ('{"id": "4", "end": "arrived", "violated": [], "scenario": {}}', '{"id": 4}', "[]", ""):
+        with pytest.raises(ValueError, match=r"id|end|record"):
+            Record.from_json(wrong)
+
+
+def settings_of(connection):
+    names = ("journal_mode", "synchronous", "trusted_schema", "cell_size_check")
+    return [connection.execute(f"PRAGMA {name}").fetchone()[0] for name in names]
+
+
+def test_what_is_written_is_on_disk_and_what_is_read_runs_no_functions_of_a_schema(store):
+    """Of SQLite, synchronous is 2 for "full": a commit survives a power cut."""
+    filled(store)
+    assert settings_of(store._connection) == [b"wal", 2, 1, 1]
+    reader = Store.read(store.folder)
+    assert settings_of(reader._connection)[2:] == [0, 1]
+    with pytest.raises(sqlite3.OperationalError, match="readonly"):
+        reader._connection.execute("DELETE FROM executions")
+    reader.close()
+
+
+@pytest.mark.parametrize("change", ["record = 5", "trace = 5", "elapsed = 'soon'", "record = NULL", "checksum = 'x'"])
+def test_a_value_of_a_wrong_type_is_damage(tmp_path, change):
+    """SQLite checks types when it writes, so the table is written as one of another kind."""
+    folder = stored_run(tmp_path / "run", "env: x\n", 3)
+    with sqlite3.connect(folder / DATABASE, isolation_level=None) as connection:
+        connection.execute("PRAGMA writable_schema = ON")
+        edit = "UPDATE sqlite_schema SET sql = ? WHERE name = 'executions'"
+        (ours,) = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'executions'").fetchone()
+        connection.execute(edit, (ours.replace("STRICT", "").replace("NOT NULL", ""),))
+        connection.execute("PRAGMA schema_version = 99")
+        connection.execute("PRAGMA writable_schema = RESET")
+        connection.execute(f"UPDATE executions SET {change} WHERE id = 1")
+        connection.execute("PRAGMA writable_schema = ON")
+        connection.execute(edit, (ours,))
+    connection.close()
+    reader = Store.read(folder)
+    assert [number for number in range(3) if reader.recall(number) is not None] == [0, 2]
+    with pytest.raises(InputError, match=r"Execution 1 in .* is damaged"):
+        list(reader.executions())
+    losses, is_read = Losses(), change.startswith(("trace", "checksum"))  # without the trace
+    assert [record.id for record in reader.records(losses)] == ([0, 1, 2] if is_read else [0, 2])
+    assert losses.damaged == ([] if is_read else [1])
+    reader.close()
+
+
+def open_files(folder):
+    """Files of a folder that this process holds open."""
+    files = [file.readlink() for file in Path("/proc/self/fd").iterdir() if file.exists()]
+    return [file.name for file in files if file.parent == folder]
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs the files in /proc")
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda path: path.write_bytes(b"rubbish" * 1000),
+        lambda path: path.write_bytes(b""),
+        lambda path: changed(path, "UPDATE meta SET value = '99'"),
+        lambda path: changed(path, "DELETE FROM meta"),
+        lambda path: changed(path, "CREATE TABLE more (x)"),
+        lambda path: (path.parent / "failures").rename(path.parent / "gone").joinpath("..", "failures").write_text(""),
+    ],
+    ids=["rubbish", "empty", "format", "no-format", "table", "failures"],
+)
+@pytest.mark.parametrize("use", [Store.read, Store.reopen])
+def test_a_run_that_is_refused_is_not_held_open(tmp_path, spoil, use):
+    folder = stored_run(tmp_path / "run", "env: x\n", 3)
+    spoil(folder / DATABASE)
+    try:
+        use(folder).close()
+    except InputError:  # while it is handled, what was opened is not yet collected
+        assert open_files(folder) == []
+    assert open_files(folder) == []
+
+
+def changed(path, statement):
+    with sqlite3.connect(path) as connection:
+        connection.execute(statement)
+    connection.close()

@@ -11,14 +11,13 @@ import subprocess
 import sys
 import time
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from behavexplor import commands
-from behavexplor.campaign.config import CampaignConfig, point_to_latest, run_folder, stored_config
+from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, OK, main
 from behavexplor.errors import InputError
@@ -482,33 +481,6 @@ def test_records_can_be_cut_off_by_head(finished):
 def test_the_version_is_told(capsys):
     assert main(["--version"]) == 0
     assert re.fullmatch(r"behavexplor \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
-
-
-def test_every_campaign_has_a_folder_of_its_own(tmp_path):
-    config = CampaignConfig(ads="models/best one.zip", env="behavexplor/lane-follow-v0")
-    folders = set()
-    for _ in range(4):
-        folder = run_folder(config, tmp_path)
-        folder.mkdir()
-        folders.add(folder)
-    assert len(folders) == 4
-    assert all(folder.name.startswith("lane-follow-v0-best-one-behavexplor-0-") for folder in folders)
-    long = replace(config, ads=f"{240 * 'm'}.zip")
-    run_folder(long, tmp_path).mkdir()
-
-
-def test_the_latest_run_has_a_name_of_its_own(tmp_path, monkeypatch):
-    monkeypatch.setattr("behavexplor.campaign.config.RUNS", tmp_path)
-    point_to_latest(tmp_path / "elsewhere" / "run")
-    assert not list(tmp_path.iterdir())
-    for name in ("first", "second"):
-        point_to_latest(tmp_path / name)
-        assert (tmp_path / "latest").readlink() == Path(name)
-    (tmp_path / "latest").unlink()
-    (tmp_path / "latest").mkdir()
-    point_to_latest(tmp_path / "third")
-    assert (tmp_path / "latest").is_dir()
-    assert not (tmp_path / "latest").is_symlink()
 
 
 def test_the_words_of_a_bug_do_not_reach_the_terminal_as_they_are(monkeypatch, capsys):

@@ -1,6 +1,7 @@
 """A confined process can neither write files nor use the network, and says what the system cannot prevent."""
 
 import os
+import platform
 import subprocess
 import sys
 import textwrap
@@ -111,6 +112,35 @@ def test_nor_may_its_threads_and_children(tmp_path):
 
 def test_it_cannot_end_the_process_that_began_it(tmp_path):
     assert confined("print(outcome(lambda: os.kill(os.getppid(), 0)))", tmp_path) == ["PermissionError"]
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the numbers of calls are those of x86-64")
+@pytest.mark.parametrize(("process", "outcome"), [("os.getppid()", "PermissionError"), ("0", "done")])
+def test_it_may_change_limits_and_priorities_of_itself_and_of_no_other_process(process, outcome, tmp_path):
+    """By values that are zero and others: the filter looks at the process, and at nothing else."""
+    code = f"""
+        process, call = {process}, ctypes.CDLL(None, use_errno=True).syscall
+        def checked(*arguments):
+            if call(*arguments) == -1:
+                raise OSError(ctypes.get_errno(), "refused")
+        attributes = (ctypes.c_uint32 * 12)(48)  # of sched_setattr: their size, and zeros
+        soft, hard = resource.getrlimit(resource.RLIMIT_CPU)
+        for attempt in (
+            lambda: os.sched_setaffinity(process, os.sched_getaffinity(0)),
+            lambda: os.sched_setscheduler(process, os.SCHED_BATCH, os.sched_param(0)),
+            lambda: os.sched_setscheduler(process, os.SCHED_OTHER, os.sched_param(0)),
+            lambda: os.sched_setparam(process, os.sched_param(0)),
+            lambda: checked(314, process, attributes, 0),
+            lambda: checked(251, 1, process, 0),
+            lambda: checked(251, 1, process, 2 << 13 | 4),
+            lambda: os.setpriority(os.PRIO_PROCESS, process, 0),
+            lambda: os.setpriority(os.PRIO_PROCESS, process, 19),
+            lambda: resource.prlimit(process, resource.RLIMIT_CPU, (soft, hard)),
+            lambda: resource.prlimit(process, resource.RLIMIT_CORE, resource.getrlimit(resource.RLIMIT_CORE)),
+        ):
+            print(outcome(attempt))
+    """
+    assert confined(code, tmp_path) == [outcome] * 11
 
 
 def test_it_may_read_compute_and_have_temporary_files(tmp_path):

@@ -1,9 +1,12 @@
 """Observations that are dictionaries of arrays: single episodes, lock-step, workers, and policies that were saved."""
 
+from types import SimpleNamespace
+
 import gymnasium
 import numpy as np
 import pytest
 import torch
+from gymnasium.spaces import Box, Discrete
 from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
@@ -11,9 +14,9 @@ from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.preflight import preflight_warnings
-from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.simulation import Simulation, seen_in
 from behavexplor.execution.start import check_ads, start_executor
-from tests.goals import NAME
+from tests.goals import NAME, SPACE, Aimless
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +71,36 @@ def test_a_policy_trained_on_other_values_is_named(parked):
     (warning,) = preflight_warnings(simulation)
     assert "100% of the values" in warning
     simulation.close()
+
+
+PARTS = dict(SPACE.items())
+
+
+@pytest.mark.parametrize(
+    ("observations", "fits"),
+    [
+        (PARTS, True),
+        ({**PARTS, "observation": Box(0, 1, (7, 5), np.float64)}, True),  # values of the same form
+        ({**PARTS, "observation": Box(-np.inf, np.inf, (7, 6))}, False),
+        ({**PARTS, "achieved_goal": Discrete(2)}, False),
+        ({**PARTS, "more": PARTS["observation"]}, False),
+        ({key: PARTS[key] for key in ("observation", "achieved_goal")}, False),
+        (None, False),
+    ],
+)
+def test_a_policy_fits_if_each_part_of_its_observations_has_the_form_of_the_environments(observations, fits):
+    space = PARTS["observation"] if observations is None else gymnasium.spaces.Dict(observations)
+    policy = SimpleNamespace(observation_space=space, action_space=Box(-1, 1, (2,)), action=Aimless.action)
+    assert seen_in(NAME, policy, {}) == (policy, fits)
+
+
+@pytest.mark.parametrize(
+    ("actions", "fits"),
+    [(Discrete(5), True), (Discrete(5, start=1), True), (Discrete(6), False), (Box(0, 1, ()), False)],
+)
+def test_a_policy_fits_if_it_chooses_among_as_many_actions(actions, fits):
+    policy = SimpleNamespace(observation_space=SPACE, action_space=actions, action={"type": "DiscreteMetaAction"})
+    assert seen_in(NAME, policy, {})[1] is fits
 
 
 def test_an_environment_with_other_observations_is_told_in_a_sentence(parked):

@@ -1,6 +1,8 @@
 """Drawn actions in episodes: another driver than the most probable actions, and the same in every execution."""
 
+import hashlib
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from behavexplor.ads.interface import StochasticADS
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
+from behavexplor.execution.drawn_actions import DrawnActions
 from behavexplor.execution.simulation import Simulation
 
 ENV, POLICY = "lane-follow", "learned:lane-follow"
@@ -31,6 +34,20 @@ def test_an_episode_is_the_same_alone_in_lock_step_and_in_any_order(simulation, 
         assert [together[i].to_bytes() for i in range(6)] == alone
     backwards = dict(simulation.run_all(scenarios[::-1], 3))
     assert [backwards[5 - i].to_bytes() for i in range(6)] == alone
+
+
+def test_the_stream_of_an_episode_is_the_same_in_all_versions_of_a_revision(scenarios):
+    """It begins with the word "draw" and half of the scenario's SHA-256; other streams have other words."""
+    noises = []
+    policy = SimpleNamespace(noise=3, draw=lambda *given: noises.append(given[-1]) or (None, None))
+    drawn, expected = DrawnActions(policy, 2), []
+    for row, scenario in enumerate(scenarios[:2]):
+        drawn.begin(row, scenario)
+        half = hashlib.sha256(scenario.to_json().encode()).digest()[:16]
+        expected.append(np.random.default_rng([int.from_bytes(b"draw"), int.from_bytes(half)]).random((4, 3)))
+    for _ in range(4):
+        drawn.predict(None)
+    np.testing.assert_array_equal(np.array(noises), np.stack(expected, axis=1))
 
 
 def test_drawn_actions_are_not_the_most_probable_ones(simulation, scenarios):

@@ -15,8 +15,8 @@ from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE, Evaluator
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout
-from behavexplor.execution.simulation import Simulation
-from behavexplor.execution.start import InProcessExecutor, start_executor
+from behavexplor.execution.simulation import Simulation, compile_kernels
+from behavexplor.execution.start import InProcessExecutor, check_loading, start_executor
 from tests.drivers import Cruiser
 
 LOGICAL = IntersectionStraightEnv.logical
@@ -84,6 +84,16 @@ def test_a_third_partys_driver_is_not_run_in_this_process_unless_it_may_do_anyth
         start_executor(Target("intersection-straight", "tests.drivers:cruiser"), 0)
 
 
+def test_a_driver_is_loaded_to_see_whether_it_can_be():
+    with start_executor(Target("lane-follow", "tests.drivers:cruiser"), 1) as executor:
+        check_loading(executor)
+    with (
+        start_executor(Target("lane-follow", "tests.drivers:nobody"), 1) as executor,
+        pytest.raises(InputError, match="nobody"),
+    ):
+        check_loading(executor)
+
+
 def test_errors_come_back_from_the_executor():
     evaluator = begun("tests.drivers:cruiser")
     for batched in ("", EXECUTE):
@@ -131,6 +141,21 @@ def test_waiting_evaluations_can_be_cancelled_or_finished():
     with start_executor(target, 0) as executor:
         future = executor.submit(EXECUTE, request)
     assert future.done()
+
+
+def test_the_kernels_of_all_views_are_compiled_before_a_driver_is_confined(monkeypatch):
+    """A confined process cannot keep machine code: each step of a view compiles what the view needs."""
+    original, stepped = Simulation.vector_env, []
+
+    def noted(simulation, number, **changes):
+        envs = original(simulation, number, **changes)
+        step = envs.step
+        envs.step = lambda actions: stepped.append((number, *changes)) or step(actions)
+        return envs
+
+    monkeypatch.setattr(Simulation, "vector_env", noted)
+    compile_kernels("lane-follow")
+    assert {(1,), (2,), (2, "observation"), (2, "action")} == set(stepped)
 
 
 @pytest.mark.parametrize("name", ["intersection-straight", "behavexplor/intersection-straight-v0"])

@@ -1,11 +1,17 @@
 """Worker processes: whatever happens in one, its task has an outcome and the others go on."""
 
+import fcntl
 import gc
+import logging
 import math
+import multiprocessing
 import os
+import resource
 import signal
 import time
 from collections import deque
+from concurrent.futures import Future
+from itertools import count
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from threading import Lock, Thread
@@ -15,7 +21,7 @@ import pytest
 
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import ADSError
-from behavexplor.execution.pool import WorkerDiedError, WorkerPool
+from behavexplor.execution.pool import WorkerDiedError, WorkerPool, _Task, _Worker
 from behavexplor.execution.rollout import ask
 from behavexplor.execution.service import Recipe, Service
 from tests.drivers import Cruiser
@@ -47,6 +53,25 @@ def sleeping(data):
     return b"awake"
 
 
+def limit_of_memory(data):
+    return str(resource.getrlimit(resource.RLIMIT_DATA)[0] / 2**30).encode()
+
+
+def may_have_children(data):
+    return str(not multiprocessing.current_process().daemon).encode()
+
+
+def levels_of_loggers(data):
+    return " ".join(logging.getLogger(name).getEffectiveLevel() * "x" for name in data.decode().split()).encode()
+
+
+def writable_pipes(data):
+    """The pipes into which a process can write, beside its standard files."""
+    places = {int(file.name): file for file in Path("/proc/self/fd").iterdir() if file.exists()}
+    pipes = [number for number, file in places.items() if number > 2 and file.is_fifo()]
+    return b" ".join(b"%d" % one for one in pipes if fcntl.fcntl(one, fcntl.F_GETFL) & os.O_ACCMODE == os.O_WRONLY)
+
+
 def collecting(data):
     return str(gc.isenabled()).encode()
 
@@ -60,7 +85,10 @@ class Functions(Service):
 
     functions = {
         function.__name__: function
-        for function in (echo, raising, dying, dying_once, sleeping, collecting, failing_ads)
+        for function in (
+            *(echo, raising, dying, dying_once, sleeping, collecting, failing_ads),
+            *(limit_of_memory, may_have_children, levels_of_loggers, writable_pipes),
+        )
     }
 
 
@@ -110,6 +138,21 @@ def test_workers_collect_garbage(pool):
     assert pool.submit("collecting", b"").result() == b"True"
 
 
+def test_a_worker_has_its_limit_of_memory_and_no_children_that_would_outlive_it(pool):
+    assert float(pool.submit("limit_of_memory", b"").result()) == 8.0
+    assert pool.submit("may_have_children", b"").result() == b"False"
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs the files in /proc")
+def test_a_worker_can_write_into_no_pipe_of_those_that_begin_workers(pool):
+    assert pool.submit("writable_pipes", b"").result() == b""
+
+
+def test_a_worker_does_not_say_that_it_compiles_or_has_no_home(pool):
+    levels = pool.submit("levels_of_loggers", b"behavexplor.jit matplotlib other").result().split()
+    assert [len(level) for level in levels] == [logging.ERROR, logging.ERROR, logging.WARNING]
+
+
 def test_an_exception_comes_back_as_words(pool):
     with pytest.raises(RuntimeError, match="LookupError: nothing there"):
         pool.submit("raising", b"nothing there").result()
@@ -130,10 +173,12 @@ def test_a_dead_worker_costs_its_own_task_and_no_other(pool):
 
 def test_a_worker_that_takes_too_long_is_replaced():
     pool = make_pool(time_limit=0.5)
+    process = int(pool.submit("echo", b"").result())
     late, after = pool.submit("sleeping", b"60"), pool.submit("echo", b"next")
     with pytest.raises(WorkerDiedError, match=r"no answer within 0\.5 s"):
         late.result()
     assert after.result().startswith(b"next")
+    assert not is_running(process)
     pool.shutdown()
 
 
@@ -245,6 +290,14 @@ def test_calls_are_worked_on_together_as_many_as_there_is_room_for(adders):
     assert max(sizes) == 3
 
 
+def test_an_answer_does_not_wait_for_that_of_a_longer_call(adders):
+    pool, _ = adders
+    pool.submit("count_down", b"1").result()
+    long, short = pool.submit("count_down", b"10000000"), pool.submit("count_down", b"1")
+    assert short.result(20) == b"0"
+    assert not long.done()
+
+
 def test_one_worker_does_it_all_while_its_caller_has_other_things_to_do(pool_of_slow):
     pool, folder = pool_of_slow
     for _ in range(8):
@@ -268,9 +321,10 @@ def test_other_workers_start_at_once_if_there_are_more_calls_than_one_can_take(p
     for future in futures:
         future.result()
     end = time.monotonic() + 60.0
-    while len(list(folder.iterdir())) < 3 and time.monotonic() < end:
+    while pool.room < 24 and time.monotonic() < end:
         time.sleep(0.01)
     assert len(list(folder.iterdir())) == 3
+    assert pool.room == 24  # two batches of four calls for each: all are ready, also without a call
 
 
 def test_what_fails_in_company_is_called_alone(adders):
@@ -324,7 +378,7 @@ class Patient(Functions):
 
     def __init__(self):
         self.stopped = False
-        self.functions = {"wait": self.wait, "echo": echo}
+        self.functions = {"wait": self.wait, "echo": echo, "may_have_children": may_have_children}
 
     def stop(self):
         self.stopped = True
@@ -342,6 +396,7 @@ def test_long_calls_end_early_when_they_are_told_to_and_each_has_a_process(tmp_p
     pool = WorkerPool(1, made, math.inf, math.inf)
     first, second = (pool.submit("echo", b"").result() for _ in range(2))
     assert first != second
+    assert pool.submit("may_have_children", b"").result() == b"True"
     running, waiting = pool.submit("wait", str(tmp_path / "begun").encode()), pool.submit("echo", b"")
     while not (tmp_path / "begun").exists():
         time.sleep(0.01)
@@ -423,6 +478,41 @@ def test_everything_an_ads_raises_is_its_own_failure(error, kind):
     with pytest.raises(ADSError) as caught:
         ask(Failing(), None, None, [True], None)
     assert caught.value.kind == kind
+
+
+def test_a_worker_without_calls_is_not_waited_for():
+    pool = make_pool(time_limit=0.5)
+    first = pool.submit("echo", b"").result()
+    time.sleep(1.2)
+    assert pool.submit("echo", b"").result() == first
+    pool.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("alone", "capacity", "expected"),
+    [
+        ("", 9, ["abcde"]),
+        ("", 2, ["ab", "cd", "e"]),
+        ("a", 9, ["a", "bcde"]),
+        ("c", 9, ["ab", "c", "de"]),
+        ("ace", 9, ["a", "b", "c", "d", "e"]),
+    ],
+)
+def test_a_worker_gets_as_many_calls_as_it_can_take_or_one_that_needs_it_to_itself(alone, capacity, expected):
+    """Five calls wait."""
+    handed_out, calls = [], [(name, name in alone) for name in "abcde"]
+    pool = object.__new__(WorkerPool)
+    pool._lock, pool._keys, pool._time_limit = Lock(), count(), 1.0
+    pool._waiting = deque(_Task(Future(), "f", name.encode(), is_alone) for name, is_alone in calls)
+    worker = object.__new__(_Worker)
+    worker.tasks, worker.is_ready, worker.capacity, worker._together = {}, True, capacity, 1
+    worker.ask = lambda tasks, _: worker.tasks.update(tasks)
+    pool._workers = [worker]
+    while pool._waiting:
+        pool._hand_out()
+        handed_out.append("".join(task.data.decode() for task in worker.tasks.values()))
+        worker.tasks.clear()
+    assert handed_out == expected
 
 
 def test_calls_that_another_thread_cancels_meanwhile_do_not_end_the_pool():

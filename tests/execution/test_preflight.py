@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from behavexplor.data.target import Target
+from behavexplor.execution import preflight
 from behavexplor.execution.evaluator import evaluator_recipe
 from behavexplor.execution.preflight import SCENARIOS, preflight_warnings
 from behavexplor.execution.simulation import Simulation
@@ -125,6 +126,28 @@ def test_a_policy_that_went_elsewhere_while_it_was_trained_is_fit():
     seen = seen_by(Cruiser())
     seen.reshape(-1)[::3] = 1e6
     assert warnings_about(Trained(seen)) == []
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return seen_by(Cruiser())
+
+
+@pytest.mark.parametrize(("share", "is_named"), [(0.39, False), (0.41, True)])
+def test_up_to_two_fifths_of_the_values_may_lie_elsewhere(scenes, share, is_named):
+    """Policies that were trained for a short time reach a third; without its statistics one has four fifths."""
+    seen = scenes.copy()
+    elsewhere = np.random.default_rng(0).permutation(seen.size)[: int(share * seen.size)]
+    seen.reshape(-1)[elsewhere] = 1e6
+    said = warnings_about(Trained(seen))
+    assert [one[:3] for one in said] == (["41%"] if is_named else [])
+
+
+@pytest.mark.parametrize(("beyond", "is_named"), [(0.24, False), (0.27, True)])
+def test_values_may_lie_beyond_the_range_by_a_quarter_of_it(scenes, beyond, is_named):
+    low, high = scenes.min(axis=0), scenes.max(axis=0)
+    found = preflight._foreign(scenes, np.where(high - low > 1.0, low - beyond * (high - low), 1e6)[None])
+    assert (found or "").startswith("100%") is is_named
 
 
 def test_observations_of_another_shape_are_not_compared():

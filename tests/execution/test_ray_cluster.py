@@ -160,7 +160,8 @@ class Ray:
         self.starting, self.actors, self.has_waited, self.left = [*map(Actor, greetings)], [], False, False
 
     def init(self, **options):
-        assert options["address"] == "local"
+        assert (options["address"], options["log_to_driver"], options["include_dashboard"]) == ("local", False, False)
+        assert os.environ["RAY_USAGE_STATS_ENABLED"] == "0"
 
     def cluster_resources(self):
         return {"CPU": float(len(self.starting))}
@@ -187,6 +188,7 @@ def make(monkeypatch):
     def made(*greetings, long_calls=False):
         """An executor, and the actors of its cluster."""
         made.cluster = Ray(*greetings)
+        monkeypatch.delenv("RAY_USAGE_STATS_ENABLED", raising=False)
         monkeypatch.setitem(sys.modules, "ray", made.cluster)
         recipe = Recipe("tests.faults:NoService", long_calls=long_calls)
         executors.append(RayExecutor("ray", 0, recipe, (1.0, 1.0), ("constant",)))

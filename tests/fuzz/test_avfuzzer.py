@@ -1,6 +1,7 @@
 """AVFuzzer step by step, with fitness made by hand."""
 
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -117,13 +118,41 @@ def test_a_better_best_after_two_generations_starts_the_local_fuzzer():
     assert search._local is None
     candidates = run(search, 4, lambda number: 0.5 if number == 9 else 0.1)
     assert search._local is not None
-    assert search.status()["local"] == 1
+    assert search.status() == {"best_fitness": pytest.approx(0.5), "restarts": 0, "local": 1}
     local = run(search, 20, lambda number: 0.9 if number == 30 else 0.2)
     assert origins(local) == ["local"] * 20
     assert {candidate.parent for candidate in local[:4]} == {candidates[1].number}
     assert search._local is None
     assert max(one.fitness for one in search._epoch.population) == pytest.approx(0.9)
     assert run(search, 1)[0].origin == "global"
+
+
+def test_a_better_best_in_the_second_generation_is_too_early_for_the_local_fuzzer():
+    search = start()
+    run(search, 8, lambda number: 0.5 if number == 5 else 0.1)
+    assert search._local is None
+    eager = start(local_after=1)
+    run(eager, 8, lambda number: 0.5 if number == 5 else 0.1)
+    assert eager._local is not None
+
+
+def test_the_best_of_the_local_fuzzer_replaces_the_worst():
+    search, values = start(), {9: 0.5, 10: 0.1}
+    run(search, 12, lambda number: values.get(number, 0.3))
+    assert [one.fitness for one in search._epoch.population] == pytest.approx([0.3, 0.5, 0.1, 0.3])
+    best = run(search, 20, lambda number: 0.9 if number == 30 else 0.2)[30 - 12]
+    assert [one.fitness for one in search._epoch.population] == pytest.approx([0.3, 0.5, 0.9, 0.3])
+    assert [one.number for one in search._epoch.population] == [8, 9, best.number, 11]
+
+
+@pytest.mark.parametrize(("factor", "local"), [(0.0, 0), (2.5, 20)])
+def test_the_local_fuzzer_mutates_by_a_factor_more(factor, local):
+    """Of its 20 individuals, a share of 0.4 times the factor; the others are not executed again."""
+    search = start(crossover_probability=0.01, mutation_probability=0.4, local_factor=factor, patience=1000)
+    kinds = origins(run(search, 120, lambda number: 0.1 + number / 1000))
+    runs = [len(list(group)) for kind, group in groupby(kinds[:-20]) if kind == "local"]
+    assert (runs == []) is (local == 0)
+    assert all(length == local for length in runs[:-1])
 
 
 @pytest.mark.parametrize(("patience", "generations"), [(5, 6), (2, 3)])

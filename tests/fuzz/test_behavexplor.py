@@ -81,6 +81,13 @@ def test_a_mutant_nearer_to_a_violation_is_kept_and_rewarded():
     assert learned["energy"] == pytest.approx(1 + 0.5 * change)
     assert learned["parent_energy"] == pytest.approx(1 + 0.5 * (-0.1 * 1 / 1) + 0.5 * change - 0.05)
     assert search._corpus[candidate.number].parent == 0
+    energies = learned["energy"], learned["parent_energy"]
+    assert search.status() == {
+        "corpus": 2,
+        "mean_energy": pytest.approx(sum(energies) / 2),
+        "max_energy": max(energies),
+        "novel_kept": 0,
+    }
 
 
 def test_a_mutant_neither_new_nor_nearer_is_forgotten():
@@ -127,6 +134,7 @@ def test_a_novel_failure_does_not_become_known():
         _, learned = tell_next(search, drive(5.0, seconds=60), verdict(0.0, failed=True))
         assert learned["novel"]
         assert not learned["kept"]
+    assert search.status()["novel_kept"] == 0
 
 
 def test_a_novel_testcase_refits_the_clusters():

@@ -6,10 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.errors import InputError
-from behavexplor.fuzz.encounters import AIMED, EMPTY_ROAD, REDRAWN, TUNED, Encounters, EncountersOptions, Niche, tuned
-from behavexplor.fuzz.search import UNIFORM, SearchExhausted
+from behavexplor.fuzz.aiming import AimingOptions, Drive
+from behavexplor.fuzz.encounters import (
+    AIMED,
+    EMPTY_ROAD,
+    REDRAWN,
+    TUNED,
+    Elite,
+    Encounters,
+    EncountersOptions,
+    NearMiss,
+    Niche,
+    tuned,
+)
+from behavexplor.fuzz.search import UNIFORM, Candidate, SearchExhausted
 from behavexplor.judge.specs import Verdict, judge
 from tests.fakes import LOGICAL, make_trace, simulate
 
@@ -91,6 +103,79 @@ def test_near_and_little_tried_niches_are_worked_on():
     assert share == pytest.approx(near.weight(0.5) / (near.weight(0.5) + far.weight(0.5)), abs=0.04)
 
 
+@pytest.mark.parametrize(
+    ("tries", "failures", "degree", "weight"),
+    [(0, 0, 0.0, 1.0), (3, 0, 0.0, 1 / 4), (0, 2, 0.0, 1 / 2), (0, 0, 3.0, 1 / 2), (1, 4, 6.0, 1 / 12)],
+)
+def test_the_weight_of_a_niche_is_that_of_the_page(tries, failures, degree, weight):
+    """docs/encounters.md: 1 / ((1 + tries + failures / 2) (1 + d / 3))."""
+    miss = NearMiss("R1", "any", degree, 0)
+    niche = Niche("R1", [Elite(None, None, miss)], tries, failures)
+    assert niche.weight(EncountersOptions().failure_cost) == pytest.approx(weight)
+
+
+def with_niches(**counts):
+    """A search with so many niches of each spec, all alike."""
+    search = Encounters(LOGICAL, 0, EncountersOptions())
+    for spec, count in counts.items():
+        for i in range(count):
+            search._niches[f"{spec}/{i}"] = Niche(spec, [Elite(None, None, NearMiss(spec, "any", 1.0, 0))])
+    return search
+
+
+def test_a_spec_is_drawn_by_the_square_root_of_its_number_of_niches():
+    search, rng = with_niches(R1=9, R2=1), np.random.default_rng(0)
+    drawn = [search._pick_niche(rng).spec for _ in range(2000)]
+    assert drawn.count("R2") / 2000 == pytest.approx(1 / 4, abs=0.04)
+
+
+def near_one():
+    """A search, and its parent with the third vehicle as the one that nearly met the ego."""
+    search = Encounters(LOGICAL, 0, EncountersOptions(aiming=AimingOptions(draws=1)))
+    scenario = LOGICAL.sample(np.random.default_rng(4))
+    drive = Drive.of(simulate(scenario))
+    return search, Elite(Candidate(0, scenario, UNIFORM, None), drive, NearMiss("R1", "any", 1.0, 2))
+
+
+def test_half_of_the_mutants_get_an_aimed_vehicle_and_one_in_ten_a_new_one():
+    search, elite = near_one()
+    rng = np.random.default_rng(0)
+    origins = Counter(search._mutate(rng, elite)[1] for _ in range(1000))
+    assert [origins[name] / 1000 for name in (AIMED, REDRAWN, TUNED)] == pytest.approx([0.5, 0.1, 0.4], abs=0.05)
+
+
+def test_mostly_the_vehicle_of_the_near_miss_is_tuned_and_it_stays_in_all_other_mutants():
+    search, elite = near_one()
+    npcs, rng, tuned_ones = elite.candidate.scenario.npcs, np.random.default_rng(0), []
+    for _ in range(1500):
+        mutant, origin = search._mutate(rng, elite)
+        if origin == TUNED:
+            tuned_ones += [i for i, npc in enumerate(mutant) if npc != npcs[i]]
+        else:
+            assert npcs[2] in mutant
+    shares = np.bincount(tuned_ones, minlength=5) / len(tuned_ones)
+    assert shares == pytest.approx([0.04, 0.04, 0.84, 0.04, 0.04], abs=0.04)  # 0.8, and a fifth of the rest each
+
+
+def test_the_nearest_of_the_elites_becomes_the_parent_most_often():
+    search = Encounters(LOGICAL, 0, EncountersOptions(initial=4, elites=3, uniform_share=0.0, aimed_share=0.0))
+    numbers = []
+    for degree in (9.0, 3.0, 1.0, 2.0):  # the first one, the empty road, is soon forgotten
+        numbers.append(search.ask())
+        told(search, degree, candidate=numbers[-1])
+    parents = Counter(search.ask().parent for _ in range(600))
+    shares = [1 - np.exp(-1), np.exp(-1) - np.exp(-2), np.exp(-2)]
+    assert [parents[number] / 600 for number in (2, 3, 1)] == pytest.approx(shares, abs=0.06)
+
+
+def test_each_mutant_is_a_try_of_its_niche_and_no_uniform_scenario_is():
+    search = Encounters(LOGICAL, 0, EncountersOptions(initial=1, aimed_share=0.0, uniform_share=0.3))
+    told(search, 5.0)
+    origins = [search.ask().origin for _ in range(30)]
+    (niche,) = search.niches.values()
+    assert 0 < origins.count(UNIFORM) == 30 - niche.tries < 30
+
+
 def test_an_improvement_makes_up_for_half_of_the_tries():
     search = Encounters(LOGICAL, 0, EncountersOptions())
     told(search, 5.0)
@@ -126,6 +211,30 @@ def test_tuned_vehicles_are_valid_and_keep_their_route(seed):
         assert positions == sorted(positions)
         if LOGICAL.spawn_conflict(other, []) is None:
             LOGICAL.check(ScriptedScenario(LOGICAL.name, (other,)))
+
+
+def test_a_tuned_vehicle_changes_its_speeds_as_a_whole_or_some_waypoints_by_little_or_by_much():
+    rng, kinds = np.random.default_rng(0), LOGICAL.vehicle_types
+    low, high = LOGICAL.position_ranges(LOGICAL.roadmap.npc_routes[0]).T
+    speed = np.array([*[np.mean(LOGICAL.speed_range)] * (len(low) - 1), 0.0])
+    places = zip(((low + high) / 2).tolist(), speed.tolist(), strict=True)
+    npc = NPC(kinds[0], LOGICAL.roadmap.npc_routes[0].name, tuple(Waypoint(*place) for place in places))
+    others = [tuned(npc, LOGICAL, rng) for _ in range(8000)]
+    points = np.array([[(one.position, one.speed) for one in other.waypoints] for other in others])
+    moved, factor = (points[:, :, 0] - (low + high) / 2) / (high - low), points[:, :-1, 1] / speed[:-1]
+    is_whole = (np.ptp(factor, axis=1) < 1e-9) & (moved == 0).all(axis=1) & (factor[:, 0] != 1)
+    some_moved, some_changed = moved[~is_whole], factor[~is_whole]
+    assert is_whole.mean() == pytest.approx(0.3, abs=0.02)
+    assert [(some_moved != 0).mean(), (some_changed != 1).mean()] == pytest.approx([0.5, 0.5], abs=0.02)
+    assert np.mean([other.type != npc.type for other in others]) == pytest.approx(0.1 * (1 - 1 / len(kinds)), abs=0.01)
+    scale = 10 ** rng.uniform(-2, -0.5, 100_000)
+    usual = np.median(np.abs(rng.normal(0, scale)))
+    middle = speed[0] * np.exp(rng.normal(0, 2 * scale)) + rng.normal(0, 3 * scale)
+    middle = np.clip(middle, *LOGICAL.speed_range)
+    assert np.median(np.abs(np.log(factor[is_whole, 0]))) == pytest.approx(usual, rel=0.08)
+    assert np.median(np.abs(some_moved[some_moved != 0])) == pytest.approx(usual, rel=0.08)
+    sizes = np.abs(np.log(some_changed[some_changed != 1]))
+    assert np.median(sizes) == pytest.approx(np.median(np.abs(np.log(middle / speed[0]))), rel=0.08)
 
 
 @pytest.mark.parametrize("option", [{"uniform_share": 1.5}, {"elites": 0}, {"aiming": {"reach": 0}}, {"near": -1}])

@@ -1,5 +1,6 @@
 """The contract of every registered search method, and the registry itself."""
 
+import hashlib
 import inspect
 import json
 import math
@@ -10,19 +11,21 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from functools import cache, lru_cache
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from behavexplor.campaign.config import campaign_config, checked, read_config
+from behavexplor.campaign.config import REVISION, campaign_config, checked, read_config
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional import IntersectionLeftEnv, IntersectionStraightEnv, LaneChangeEnv, LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.encounters import EMPTY_ROAD
 from behavexplor.fuzz.methods import METHODS, describe_method, load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted
+from behavexplor.judge.closest_approach import Nearness
 from behavexplor.judge.specs import SPECS, Verdict, judge
 from tests.fakes import make_trace, simulate
 
@@ -279,6 +282,93 @@ def test_options_are_a_frozen_dataclass_that_configs_can_fill(name):
     for field in fields(options):  # each is described beside it, or by the docstring of its own class
         beside = rf"^    # .*\n    {field.name}: |^    {field.name}: .*  # "
         assert re.search(beside, source, re.MULTILINE) or is_dataclass(getattr(options(), field.name, None)), field.name
+
+
+def said_of_options(name, column=0):
+    """The defaults that docs/methods.md says in the section of a method: after its sentence on options, or in a table.
+
+    The table has the defaults in one column, and those of the preset `released` in another one.
+    """
+    page = (Path(__file__).parents[2] / "docs" / "methods.md").read_text()
+    section = page.partition(f" (`{name}`)\n")[2].partition("\n## ")[0]
+    paragraphs = [" ".join(paragraph.split()) for paragraph in section.split("\n\n")]
+    sentence = "".join(paragraph.partition("Options, with their defaults")[2] for paragraph in paragraphs)
+    table = section.partition("| option | `paper` (default) | `released` |")[2].partition("\n\n")[0]
+    rows = re.findall(r"^\| `([\w.]+)`" + r" \| `?([\w.-]+)[^|]*" * 2, table, re.MULTILINE)
+    listed = re.findall(r"`([\w.]+)` \(([^()]+)\)", sentence)
+    return {key: as_number(said) for key, said in listed + [(key, values[column]) for key, *values in rows]}
+
+
+def as_number(words):
+    try:
+        return float(words)
+    except ValueError:
+        return words
+
+
+def as_said(value):
+    if isinstance(value, tuple):
+        return ", ".join(value)
+    return {"None": "none", "True": "true"}.get(str(value), value)
+
+
+def values_of(options):
+    values = {key: attrgetter(key)(options) for key in keys(options)}
+    return {key: as_said(one) for key, one in values.items() if not is_dataclass(one)}
+
+
+@EVERY
+def test_the_page_says_every_option_with_its_default(name):
+    """It is the page on which a number of a publication stands beside its source."""
+    assert said_of_options(name) == values_of(load_method(name).Options())
+
+
+def test_the_page_says_what_the_preset_of_the_released_program_changes():
+    options = read_config("released")["options"]
+    released = checked(load_method("behavexplor").Options, options, "options")
+    assert said_of_options("behavexplor", column=1) == values_of(released)
+
+
+@EVERY
+def test_a_method_says_whether_it_uses_the_nearness_of_failures(name, monkeypatch):
+    """Judges compute it for those that say so; see `SearchMethod`."""
+    computed, original = [], Nearness.of
+    monkeypatch.setattr(Nearness, "of", lambda *given: computed.append(given) or original(*given))
+    campaign(build(name), 1)
+    assert getattr(load_method(name), "uses_nearness", False) is bool(computed)
+
+
+@pytest.mark.parametrize("name", [name for name in METHODS if hasattr(load_method(name), "foreseen")])
+def test_no_result_changes_the_candidates_that_a_method_foresees(name):
+    """They may be asked for early, and are the same then."""
+    search = build(name)
+    first = search.ask()
+    early = [first, *(search.ask() for _ in range(min(search.foreseen, 60)))]
+    assert len(early) > 10
+    assert asked([(one,) for one in early]) == asked(played(name, 1))[: len(early)]
+
+
+CANDIDATES = {  # digests of the first 80, in all versions of a revision
+    "behavexplor": "1c006bba119ac8c0",
+    "random": "ff459a7179630d5d",
+    "avfuzzer": "5d7489032017e8d9",
+    "niching": "50cc8b3e0885e90b",
+    "uniform": "625cda73b336aff1",
+}
+
+
+@pytest.mark.skipif(REVISION != 3, reason="the digests are those of revision 3")
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_a_method_asks_for_the_same_in_all_versions_of_a_revision(name):
+    """If it shall ask for something else, raise `REVISION`.
+
+    Methods that use libraries depend on their versions, too. The speeds of aimed vehicles are not rounded: their last
+    bits depend on the processor.
+    """
+    digest = hashlib.sha256()
+    for number, origin, parent, scenario in asked(played(name, 1)):
+        digest.update(f"{number} {origin} {parent} {scenario.to_json()}".encode())
+    assert digest.hexdigest()[:16] == CANDIDATES[name]
 
 
 @EVERY

@@ -7,6 +7,7 @@ import pytest
 
 from behavexplor.fuzz.niching import CHILD, Niching, NichingOptions
 from behavexplor.fuzz.search import UNIFORM
+from behavexplor.judge.closest_approach import Nearness
 from behavexplor.judge.specs import Verdict
 from tests.fakes import LOGICAL, make_trace
 
@@ -89,6 +90,31 @@ def test_a_child_is_its_parent_with_noise_on_all_genes_or_a_few():
     assert (changes > 0).any(axis=1).all()
     assert ((changes > 0).mean(axis=1) < 0.5).mean() == pytest.approx(0.5, abs=0.15)
     assert 0.01 < np.median(changes[changes > 0]) < 0.1
+
+
+@pytest.mark.parametrize("place", [0.0, 0.5, 1.0])
+def test_noise_is_of_any_size_between_a_hundredth_and_a_third_of_a_range(place):
+    """And what would leave the range is reflected at its end."""
+    method, rng = search(), np.random.default_rng(0)
+    parent = np.full(method._asker.encoding.size, place)
+    changes = np.abs(np.array([method._child(parent, rng) for _ in range(800)]) - place)
+    assert changes.max() <= 1.0
+    shares = (changes > 0).mean(axis=1)
+    assert (shares == 1).mean() == pytest.approx(0.5, abs=0.05)
+    assert shares[shares < 1].mean() == pytest.approx(0.2, abs=0.01)
+    sizes = np.log(np.median(changes[shares == 1], axis=1) / 0.6745)  # of deviations, uniform in their magnitude
+    assert np.exp(sizes.mean()) == pytest.approx(np.sqrt(0.01 * 0.3), rel=0.15)
+    assert sizes.std() == pytest.approx(np.log(0.3 / 0.01) / np.sqrt(12), rel=0.1)
+
+
+@pytest.mark.parametrize(("times", "is_rare"), [(2, False), (3, True)])
+def test_the_penalty_grows_with_the_logarithm_of_how_often_a_niche_was_seen(times, is_rare):
+    """The difference in the time left is made up for when a situation was seen e times as often."""
+    near, far = approach(1.0), approach(2.0, side=True)
+    method = search(penalty=Nearness.of(far, PASSED).time_left - Nearness.of(near, PASSED).time_left)
+    first, *_ = [tell(method, near) for _ in range(times)]
+    rare = tell(method, far)
+    assert child(method).parent == (rare if is_rare else first).number
 
 
 def test_a_failure_is_better_than_any_near_miss():

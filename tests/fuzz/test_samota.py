@@ -12,7 +12,8 @@ import pytest
 
 from behavexplor.campaign.config import read_config
 from behavexplor.errors import InputError
-from behavexplor.fuzz.samota import SAMOTA, SAMOTAOptions
+from behavexplor.fuzz import samota
+from behavexplor.fuzz.samota import SAMOTA, SAMOTAOptions, preference_ranks
 from behavexplor.judge.specs import Verdict
 from tests.fakes import LOGICAL, make_trace
 
@@ -208,6 +209,38 @@ def test_the_fittest_are_selected():
     assert np.isclose((chosen == 0).mean(), 1 - (5 / 6) ** 10, atol=0.03)
 
 
+class Watched(SAMOTA):
+    """Notes the parents of each generation."""
+
+    def _children(self, parents, *given):
+        vars(self).setdefault("parents", []).append(parents)
+        return super()._children(parents, *given)
+
+
+class Model:
+    """Predicts two objectives, which are features: speeds."""
+
+    def predict(self, points):
+        return points[:, -2:], np.zeros((len(points), 2))
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_from_the_first_generation_on_parents_are_the_fittest_first(monkeypatch, k):
+    """Of random individuals, too: a tournament goes by their order."""
+    monkeypatch.setattr(samota, "fit_ensemble", lambda *_: Model())
+    search, rng = Watched(LOGICAL, 0, SAMOTAOptions(generations=4, local_generations=4)), np.random.default_rng(0)
+    vectors = rng.random((20, search._asker.encoding.size))
+    if k == 1:
+        search._minimum(vectors, Model(), rng)
+    else:
+        search._global(vectors, rng.random((20, 2)), rng)
+    assert len(search.parents) == 4
+    for parents in search.parents:
+        values, _ = Model().predict(search._asker.encoding.features(parents))
+        ranks = preference_ranks(values) if k == 2 else values[:, 0]
+        assert (np.diff(ranks) >= 0).all()
+
+
 def test_one_point_crossover_swaps_what_lies_behind_a_point():
     search = SAMOTA(LOGICAL, 0, SAMOTAOptions(mutation_probability=0.001, tournament=1))
     size = search._asker.encoding.size
@@ -253,6 +286,7 @@ def test_noise_in_the_seeded_variant():
     moved = children != 0.5
     assert moved.mean() == pytest.approx(0.2, abs=0.01)
     assert (children[moved] - 0.5).std() == pytest.approx(0.1, abs=0.005)
+    assert (children[moved] - 0.5).mean() == pytest.approx(0.0, abs=0.005)
     assert ((children >= 0) & (children <= 1)).all()
 
 

@@ -14,19 +14,32 @@ VALUES = np.stack([POINTS[:, 0] ** 2 + POINTS[:, 1] * POINTS[:, 2], np.sin(6 * P
 NEW = RNG.random((20, 4))
 
 
-def test_the_models_predict_what_scikit_learn_does():
-    ensemble = fit_ensemble(POINTS, VALUES, np.random.default_rng(1))
-    length = ensemble.length
-    assert length == pytest.approx(np.median([np.linalg.norm(a - b) for i, a in enumerate(POINTS) for b in POINTS[:i]]))
+def predicted_by_scikit_learn(points, values, new):
+    """Predictions of models of scikit-learn, in the order of `KERNELS`; shape (models, new, k)."""
+    length = np.median([np.linalg.norm(a - b) for i, a in enumerate(points) for b in points[:i]])
     models = {
         POLYNOMIAL: KernelRidge(kernel="poly", degree=2, gamma=1 / length**2, coef0=1.0, alpha=1e-2),
         RBF: KernelRidge(kernel="rbf", gamma=1 / (2 * length**2), alpha=1e-2),
         GAUSSIAN_PROCESS: GaussianProcessRegressor(Matern(length, nu=1.5), alpha=1e-2, optimizer=None),
     }
-    means = VALUES.mean(0)
-    for kernel, outputs in zip(KERNELS, ensemble.outputs(NEW), strict=True):
-        expected = models[kernel].fit(POINTS, VALUES - means).predict(NEW) + means
-        assert outputs == pytest.approx(expected, abs=1e-9)
+    means = values.mean(0)
+    return np.stack([models[kernel].fit(points, values - means).predict(new) + means for kernel in KERNELS])
+
+
+def test_the_models_predict_what_scikit_learn_does():
+    ensemble = fit_ensemble(POINTS, VALUES, np.random.default_rng(1))
+    assert ensemble.outputs(NEW) == pytest.approx(predicted_by_scikit_learn(POINTS, VALUES, NEW), abs=1e-6)
+
+
+@pytest.mark.parametrize("n", [10, 59])
+def test_models_weigh_as_the_inverse_of_their_errors_on_a_fifth_of_the_points(n):
+    points, values = POINTS[:n], VALUES[:n]
+    order = np.random.default_rng(1).permutation(n)
+    held_out, rest = order[: n // 5], order[n // 5 :]
+    errors = predicted_by_scikit_learn(points[rest], values[rest], points[held_out]) - values[held_out]
+    inverse = 1 / np.sqrt((errors**2).mean(axis=1))
+    weights = fit_ensemble(points, values, np.random.default_rng(1)).weights
+    assert weights == pytest.approx(inverse / inverse.sum(axis=0), rel=1e-3)
 
 
 def test_the_ensemble_is_a_weighted_mean_and_its_uncertainty_the_widest_disagreement():
