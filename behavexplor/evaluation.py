@@ -273,9 +273,9 @@ class _Block(NamedTuple):
     """A block of scenarios that are being driven."""
 
     numbers: range
-    counted: "Future[bytes] | None"  # the outcomes of all of them; None if each is judged by its trace
-    judged: "Callable[[], list[Future[bytes]]]"  # lets each be judged by its trace, unless that has begun
-    state: Any  # of the generator behind them
+    counted: "Future[bytes] | None"  # the outcomes of all scenarios; None if each is judged by its trace
+    judged: "Callable[[], list[Future[bytes]]]"  # gets those of each, by its trace, if not counted
+    state: Any  # of the generator, after the last scenario
 
 
 def _begin_to_count(

@@ -144,7 +144,7 @@ class Agreement:
     equal: float  # share of equal labels; meaningful only if both sequences use the same names
     precision: float  # mean over the given names of the share of items with that label for which it is true
     recall: float  # mean over the true names of the share of items with that true label that were given it
-    adjusted_rand: float  # of the two groupings, whatever the names: 1 for equal ones, about 0 for those made by chance
+    adjusted_rand: float  # adjusted Rand index of the groupings: 1 if they are equal, about 0 by chance
 
 
 def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:

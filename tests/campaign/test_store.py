@@ -223,7 +223,7 @@ def settings_of(connection):
 
 
 def test_what_is_written_is_on_disk_and_what_is_read_runs_no_functions_of_a_schema(store):
-    """Of SQLite, synchronous is 2 for "full": a commit survives a power cut."""
+    """With `synchronous` at 2 ("full"), a commit survives a power cut."""
     filled(store)
     assert settings_of(store._connection) == [b"wal", 2, 1, 1]
     reader = Store.read(store.folder)

@@ -1,4 +1,4 @@
-"""Imports of exactly the bytes that were checked, whatever lies there when they are imported."""
+"""Checked imports run exactly the bytes that were checked, even if a file has changed since."""
 
 import os
 import py_compile

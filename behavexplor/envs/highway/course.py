@@ -64,9 +64,9 @@ def _connected(roads: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     return way
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=256)  # most routes consist of whole lanes
 def _center(lane: AbstractLane, start: float, end: float) -> Floats:
-    """Return points of a lane's center line between two stations [m], shape (n, 2). Most routes have whole lanes."""
+    """Return points of a lane's center line between two stations [m], shape (n, 2)."""
     count = 2 if type(lane) is StraightLane else max(int(abs(end - start) / _STEP) + 2, 2)
     points = np.array([lane.position(station, 0.0) for station in np.linspace(start, end, count)])
     points.setflags(write=False)

@@ -34,7 +34,8 @@ from behavexplor.envs.values import shown
 from behavexplor.errors import InputError
 
 _ROOM = 16  # more vehicles than in the first episode, for environments that place their own
-_NONE, _NOT_NUMBERS = np.zeros(0), np.full(1, np.nan)  # draws
+_NO_DRAWS: Final = np.zeros(0)
+_NO_NUMBERS: Final = np.full(1, np.nan)  # what stands for draws that are no array of numbers
 _OF_STARTS: Final = frozenset(  # keys of the config that matter to starts only
     {
         "vehicles_count",
@@ -168,7 +169,7 @@ def with_draws(engine: Engine, mask: Bools, draws: Mapping[int, Floats]) -> Engi
     if lacking > 0:
         words = np.pad(words, ((0, 0), (0, lacking)))
     for b in np.flatnonzero(mask).tolist():
-        give(words[b], draws.get(b, _NONE))
+        give(words[b], draws.get(b, _NO_DRAWS))
     return engine._replace(words=words)
 
 
@@ -187,5 +188,5 @@ def _floats(draws: object) -> Floats:
     try:
         forms = np.asarray(draws, dtype=np.float64)
     except (TypeError, ValueError):
-        forms = _NOT_NUMBERS
-    return forms if forms.ndim == 1 else _NOT_NUMBERS
+        forms = _NO_NUMBERS
+    return forms if forms.ndim == 1 else _NO_NUMBERS
