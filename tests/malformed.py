@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.record import DATABASE, FAILURES
+from behavexplor.campaign.folder_format import DATABASE, FAILURES
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, main
 from tests.campaign.test_store import execution

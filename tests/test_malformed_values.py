@@ -34,7 +34,7 @@ from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
 from behavexplor.campaign.database_file import connect
 from behavexplor.campaign.database_rows import Row, insert
-from behavexplor.campaign.record import DATABASE
+from behavexplor.campaign.folder_format import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.motion_bytes import unpack_arrays

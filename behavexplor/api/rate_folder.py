@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from behavexplor.ads.interface import ADS
-from behavexplor.campaign.config import CONFIG, CampaignConfig
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import identity_of

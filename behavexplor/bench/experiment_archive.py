@@ -16,7 +16,7 @@ from behavexplor.bench.experiment import PlannedRun
 from behavexplor.bench.runs import check_same_campaign
 from behavexplor.bench.summaries import Summary
 from behavexplor.campaign.config import campaign_config
-from behavexplor.campaign.record import DATABASE
+from behavexplor.campaign.folder_format import DATABASE
 from behavexplor.data.durable import write_durably
 from behavexplor.data.untrusted import decompressed, read_file
 from behavexplor.data.validation import checked

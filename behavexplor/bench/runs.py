@@ -23,10 +23,10 @@ from threadpoolctl import threadpool_limits
 from behavexplor.bench.experiment import Experiment, PlannedRun
 from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, check_revision, stored_config
+from behavexplor.campaign.folder_format import DATABASE
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.progress import executing_and_analysing
 from behavexplor.campaign.provenance import own_run, remember
-from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.data.durable import folder_in
 from behavexplor.data.target import Target

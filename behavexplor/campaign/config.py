@@ -13,12 +13,12 @@ from typing import Any, ClassVar, Final, Self
 import yaml
 from pydantic import ConfigDict
 
+from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.data.target import Conditions, Target
 from behavexplor.data.untrusted import parse_yaml, read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief, unknown_name
 
-CONFIG = "config.yaml"  # file in a run folder
 REVISION: Final = 3  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ. 3: the
 # records of failures in highway-env's environments are the compiled engine's, and its vehicles are whole blocks.
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred

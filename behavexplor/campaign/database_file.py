@@ -1,4 +1,4 @@
-"""The file of a database: its schema, and how it is opened so that a file from elsewhere does nothing of its own.
+"""The file of a database, and how it is opened so that a file from elsewhere does nothing of its own.
 
 SQLite acts on a file before the first statement: it rolls a journal back, and a journal may name a file to delete.
 Views, triggers, virtual tables and expressions of a foreign schema are code that runs in the statements of others.
@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Final
 
+from behavexplor.campaign.folder_format import LOCK, SCHEMA
 from behavexplor.data.durable import check_file
 from behavexplor.errors import InputError
 
@@ -21,28 +22,11 @@ MAX_VALUE: Final = 100_000_000  # greatest size of a stored value [bytes]; a tra
 AUXILIARY: Final = ("-wal", "-shm", "-journal")  # endings of the files that SQLite keeps beside a database
 UNREADABLE: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)  # codes of errors
 
-SCHEMA: Final = """
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
-CREATE TABLE executions (
-    id INTEGER PRIMARY KEY,
-    record TEXT NOT NULL,  -- JSON: what `behavexplor records` prints
-    trace BLOB NOT NULL,  -- read by behavexplor.data.trace.Trace.from_bytes
-    elapsed REAL NOT NULL,  -- running time of the campaign when the execution was told [s]
-    checksum INTEGER NOT NULL,  -- CRC-32 of id, record and trace
-    violated TEXT AS (json_extract(record, '$.violated')),
-    degree REAL AS (json_extract(record, '$.degree')),
-    novelty REAL AS (json_extract(record, '$.novelty')),
-    "end" TEXT AS (json_extract(record, '$.end')),
-    record_checksum INTEGER  -- CRC-32 of id, elapsed and record
-) STRICT;
-"""
-
 _COMMENT: Final = re.compile(r"--[^'\"\n]*\n")  # without quotes, so that it cannot hide the end of a text
 _SUPER_JOURNAL: Final = bytes.fromhex("d9d505f920a163d7")  # the last bytes of a journal that names another one
 _NAME_RECORD: Final = 16  # least size of that name in a journal [bytes]
 
 _Entry = tuple[str, str, str, str]
-LOCK = "campaign.lock"
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:

@@ -14,9 +14,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from behavexplor.campaign.database_file import AUXILIARY, SCHEMA, UNREADABLE, connect, wal_of
+from behavexplor.campaign.database_file import AUXILIARY, UNREADABLE, connect, wal_of
+from behavexplor.campaign.folder_format import FORMAT, SCHEMA
 
-FORMAT = "3"
 _LEAST_ROW = 64  # least size of a row [bytes]
 _ROWS_AT_ONCE = 500
 _DAMAGED = (*UNREADABLE, sqlite3.SQLITE_ERROR)  # the last for invalid JSON

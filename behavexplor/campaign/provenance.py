@@ -20,7 +20,8 @@ from platformdirs import user_state_path
 from behavexplor.ads.loading import IN_MEMORY, is_shipped
 from behavexplor.ads.sb3.archive import MAX_BYTES
 from behavexplor.ads.sb3.description import files_of_model, is_policy
-from behavexplor.campaign.config import CONFIG, CampaignConfig, StoredConfig, campaign_config
+from behavexplor.campaign.config import CampaignConfig, StoredConfig, campaign_config
+from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.data.named_code import Code, attribute_code, env_code, traffic_code
 from behavexplor.data.target import CheckedTarget, check_digests
 from behavexplor.data.untrusted import parse_yaml, read_file

@@ -1,29 +1,18 @@
-"""Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object.
-
-Also the names of the files in a run folder, and what it has lost of them.
-"""
+"""Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Self
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from behavexplor.campaign.config import CONFIG
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.judge.fault import is_at_fault
 from behavexplor.judge.specs import ERROR
 
 __all__ = ["ERROR", "Record"]
-DATABASE, FAILURES = "campaign.db", "failures"
-
-
-def failure_path(run: Path, number: int) -> Path:
-    """Return the path of the file of a failed execution in a run folder."""
-    return run / FAILURES / f"{number:06d}.json"
 
 
 class WrittenValues(Mapping[str, Any]):
@@ -158,36 +147,3 @@ def lines_of(values: Mapping[str, Any]) -> list[str]:
 def json_of(lines: Iterable[str]) -> str:
     """Return the JSON of a record in lines."""
     return f"{{{', '.join(lines)}}}"
-
-
-@dataclass
-class Losses:
-    """Data that a run folder has lost."""
-
-    damaged: list[int] = field(default_factory=list)  # numbers of executions that are damaged or missing
-    cut_off: bool = False  # whether an unknown number of executions after the last of them is lost, too
-    files: list[int] = field(default_factory=list)  # numbers of failed executions whose file is missing or empty
-
-    def sentences(self, folder: Path) -> list[str]:
-        """Return a sentence for each kind of loss."""
-        said = []
-        if self.damaged:
-            numbers = _ranges(self.damaged) + (" and everything after" if self.cut_off else "")
-            said.append(f"Damaged or missing in {folder / DATABASE}: {numbers}; fuzz --resume executes that again")
-        if self.files:
-            said.append(f"Missing in {folder / FAILURES}: files of {_ranges(self.files)}; fuzz --resume writes them")
-        if not (folder / CONFIG).is_file():
-            said.append(f"{folder / CONFIG} is missing: restore it, or the run can neither be replayed nor resumed")
-        return said
-
-
-def _ranges(numbers: Sequence[int]) -> str:
-    """Return increasing numbers in words, such as "execution 3" or "executions 3, 5 to 9"."""
-    ranges: list[list[int]] = []
-    for number in numbers:
-        if ranges and number == ranges[-1][1] + 1:
-            ranges[-1][1] = number
-        else:
-            ranges.append([number, number])
-    named = ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in ranges)
-    return f"execution{'s' if len(numbers) > 1 else ''} {named}"

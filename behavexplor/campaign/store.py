@@ -16,10 +16,10 @@ from types import MappingProxyType
 from typing import IO, Any, Self
 
 from behavexplor.campaign import database_rows
-from behavexplor.campaign.config import CONFIG
-from behavexplor.campaign.database_file import LOCK, connect, lock_folder
+from behavexplor.campaign.database_file import connect, lock_folder
+from behavexplor.campaign.folder_format import CONFIG, DATABASE, FAILURES, FORMAT, LOCK, Losses, failure_path
 from behavexplor.campaign.progress import known_stages
-from behavexplor.campaign.record import DATABASE, FAILURES, Losses, Record, failure_path, json_of
+from behavexplor.campaign.record import Record, json_of
 from behavexplor.data.durable import check_no_file, folder_in, write_durably, write_whole
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -385,11 +385,11 @@ def _check_readable(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _check_format(path: Path, found: str) -> None:
-    if found == database_rows.FORMAT:
+    if found == FORMAT:
         return
     other = re.fullmatch(r"[1-9]\d{0,8}", found)
     mend = "another version of behavexplor wrote it" if other else "it is damaged, or not a campaign's database"
-    raise InputError(f"{path} has format {found:.20}, but this version reads {database_rows.FORMAT}: {mend}")
+    raise InputError(f"{path} has format {found:.20}, but this version reads {FORMAT}: {mend}")
 
 
 def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:

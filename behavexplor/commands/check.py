@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import tyro
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
-from behavexplor.commands.flags import GivenActivation, HowToRun, Switch, patience
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.shared_flags import GivenActivation, HowToRun, Switch, patience
 from behavexplor.commands.wording import hanging, say
 from behavexplor.errors import sentence
 from behavexplor.repair.cases import Suite

@@ -18,9 +18,9 @@ from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped_folder
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import say, wrapped
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence

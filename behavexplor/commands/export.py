@@ -11,12 +11,13 @@ from typing import Annotated, Final, Literal
 
 import tyro
 
-from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
+from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.provenance import ADS, DRIVING, Consent, accepted
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK
-from behavexplor.commands.flags import NewFolder, RunFolder, Trust
 from behavexplor.commands.roads import check_libraries, road_of
+from behavexplor.commands.shared_flags import NewFolder, RunFolder, Trust
 from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.durable import folder_in

@@ -27,18 +27,18 @@ from behavexplor.campaign.config import (
     run_folder,
     stored_config,
 )
+from behavexplor.campaign.folder_format import failure_path
 from behavexplor.campaign.opening import opened, stopped_by_signals
 from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.provenance import ALL, Consent
-from behavexplor.campaign.record import failure_path
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
-from behavexplor.commands.flags import Switch, check_unchanged, chosen_workers, flag, patience, settings
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.shared_flags import Switch, check_unchanged, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import class_count, counted, say, wrapped
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError, sentence

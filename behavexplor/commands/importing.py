@@ -10,9 +10,9 @@ import tyro
 
 from behavexplor.campaign.judgment import ads_failure, judgment
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.flags import GivenActivation, Switch
 from behavexplor.commands.outputs import write_json
 from behavexplor.commands.roads import check_libraries, road_of
+from behavexplor.commands.shared_flags import GivenActivation, Switch
 from behavexplor.commands.wording import say, wrapped
 from behavexplor.data.named_code import env_code
 from behavexplor.data.scenario import LogicalScenario, Scenario

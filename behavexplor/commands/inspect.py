@@ -21,8 +21,8 @@ from behavexplor.ads.sb3.inert import Inert, Name
 from behavexplor.ads.weights.layers import ActingNetwork, chosen, networks_in, reason_against, unused
 from behavexplor.ads.weights.tensors import TensorFile, read_tensors, tensors_in
 from behavexplor.commands import OK, program
-from behavexplor.commands.flags import GivenActivation, Trust, read_env_config
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
+from behavexplor.commands.shared_flags import GivenActivation, Trust, read_env_config
 from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DECLARED
 from behavexplor.data.untrusted import read_file

@@ -5,10 +5,10 @@ import sys
 from dataclasses import asdict
 
 from behavexplor.campaign.confirmation import known
-from behavexplor.campaign.record import Losses
+from behavexplor.campaign.folder_format import Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, program
-from behavexplor.commands.flags import RunFolder
+from behavexplor.commands.shared_flags import RunFolder
 from behavexplor.commands.wording import say
 
 

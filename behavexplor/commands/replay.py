@@ -21,7 +21,7 @@ from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
-from behavexplor.commands.flags import RunFolder, Switch, Trust
+from behavexplor.commands.shared_flags import RunFolder, Switch, Trust
 from behavexplor.commands.wording import hanging, say, wrapped
 from behavexplor.data.durable import folder_in, new_file
 from behavexplor.data.road_shape import RoadShape

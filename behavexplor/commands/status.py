@@ -6,8 +6,8 @@ from behavexplor.campaign.database_file import is_being_written
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.store import last_written
 from behavexplor.commands import OK
-from behavexplor.commands.flags import RunFolder
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
+from behavexplor.commands.shared_flags import RunFolder
 from behavexplor.commands.wording import clock, hanging, say, wrapped
 
 

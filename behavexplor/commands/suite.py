@@ -13,7 +13,7 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import HowToRun, NewFolder, Running
+from behavexplor.commands.shared_flags import HowToRun, NewFolder, Running
 from behavexplor.commands.wording import counted, say
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.cases import TEST, Case, Suite, candidates, case_of, check_free, check_same_driving

@@ -11,8 +11,8 @@ import yaml
 from behavexplor.campaign.config import RUNS
 from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Switch, check_unchanged, flag
 from behavexplor.commands.rate_table import rates_table
+from behavexplor.commands.shared_flags import Switch, check_unchanged, flag
 from behavexplor.commands.trainings import begin_training, progress_line, resumed_config
 from behavexplor.commands.wording import say
 from behavexplor.data.durable import write_durably

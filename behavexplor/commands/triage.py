@@ -10,8 +10,8 @@ from rich.table import Table
 from behavexplor.campaign.confirmation import known, not_confirmed
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.grids import grid, plain_text
+from behavexplor.commands.shared_flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.wording import class_count, counted, hanging, say, wrapped
 from behavexplor.data.trace import UNKNOWN
 from behavexplor.errors import sentence

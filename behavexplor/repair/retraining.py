@@ -19,7 +19,8 @@ from stable_baselines3.common.logger import configure
 
 from behavexplor.ads.sb3.archive import MAX_BYTES
 from behavexplor.campaign.campaign import search_method
-from behavexplor.campaign.config import CONFIG, CampaignConfig
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE

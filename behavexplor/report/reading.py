@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
-from behavexplor.campaign.config import CONFIG, Budget, CampaignConfig, stored_config
+from behavexplor.campaign.config import Budget, CampaignConfig, stored_config
 from behavexplor.campaign.confirmation import known as known_confirmations
 from behavexplor.campaign.confirmation import not_confirmed
+from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate

@@ -12,8 +12,8 @@ import pytest
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, ExecutionError, search_method
 from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.folder_format import DATABASE
 from behavexplor.campaign.judgment import judgment
-from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.campaign.uniform_rate import UniformRate
 from behavexplor.data.scenario import parse_scenario

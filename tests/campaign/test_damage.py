@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from behavexplor.campaign.campaign import ExecutionError
-from behavexplor.campaign.config import CONFIG, REVISION, CampaignConfig
-from behavexplor.campaign.database_file import LOCK
+from behavexplor.campaign.config import REVISION, CampaignConfig
+from behavexplor.campaign.folder_format import CONFIG, DATABASE, FAILURES, LOCK, Losses
 from behavexplor.campaign.opening import opened
-from behavexplor.campaign.record import DATABASE, FAILURES, Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.errors import InputError

@@ -11,9 +11,9 @@ import textwrap
 
 import pytest
 
-from behavexplor.campaign.config import CONFIG, REVISION
-from behavexplor.campaign.database_file import AUXILIARY, LOCK, is_being_written
-from behavexplor.campaign.record import DATABASE, FAILURES
+from behavexplor.campaign.config import REVISION
+from behavexplor.campaign.database_file import AUXILIARY, is_being_written
+from behavexplor.campaign.folder_format import CONFIG, DATABASE, FAILURES, LOCK
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError

@@ -14,7 +14,7 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from behavexplor.campaign.record import DATABASE, FAILURES
+from behavexplor.campaign.folder_format import DATABASE, FAILURES
 from behavexplor.campaign.store import Store
 from behavexplor.errors import InputError
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from behavexplor.campaign.config import CONFIG, stored_config
+from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.provenance import accepted, list_path
 
 ROOT = Path(__file__).parents[2]

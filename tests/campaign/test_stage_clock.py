@@ -8,9 +8,9 @@ from contextlib import suppress
 import pytest
 
 from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.folder_format import DATABASE
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.progress import STAGES, Stage, StageClock, executing_and_analysing, known_stages
-from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.commands import OK, main
 from behavexplor.report.charts import stage_parts

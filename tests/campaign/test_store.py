@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from behavexplor.campaign.database_rows import rebuild
-from behavexplor.campaign.record import DATABASE, Losses, Record, WrittenValues, failure_path
+from behavexplor.campaign.folder_format import DATABASE, Losses, failure_path
+from behavexplor.campaign.record import Record, WrittenValues
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError

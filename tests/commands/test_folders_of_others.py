@@ -16,7 +16,8 @@ from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.building import build_trusted
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.ads.sb3.policy import load_policy
-from behavexplor.campaign.config import CONFIG, StoredConfig, stored_config
+from behavexplor.campaign.config import StoredConfig, stored_config
+from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.provenance import Consent, accepted, list_path
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.drawn_scenario import Setup, config_text

@@ -12,9 +12,10 @@ from urllib.parse import unquote
 
 import pytest
 
-from behavexplor.campaign.config import CONFIG, CampaignConfig
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.database_file import connect
 from behavexplor.campaign.database_rows import Row, insert
+from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.store import DATABASE, Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.trace import Trace
