@@ -161,7 +161,7 @@ class Campaign:
         for pending in [self._begun(one) for one in candidates]:
             if self.stopping:
                 return
-            failed += self._judgment(pending).verdict.failed
+            failed += self._judgment(pending).result.failed
         with _kept():
             UniformRate(count, failed).note(self._store)
 
@@ -335,19 +335,12 @@ class Campaign:
         candidate = pending.candidate
         with self._during(Stage.MINING, candidate.number):
             novelty = self._archive.observe(judged.trace)
-            learned = self._method.tell(candidate, judged.trace, judged.verdict)
+            learned = self._method.tell(candidate, judged.trace, judged.result.verdict)
         return Record(
             id=candidate.number,
             origin=candidate.origin,
             parent=candidate.parent,
-            end=judged.end,
-            error=judged.failure,
-            duration=judged.duration,
-            violated=judged.verdict.violated,
-            violation_class=judged.violation_class,
-            fault=judged.fault,
-            degree=judged.verdict.degree,
-            degrees=dict(judged.verdict.degrees),
+            **vars(judged.result),
             novelty=novelty,
             novel=novelty > self._archive.options.threshold,
             search=dict(learned),

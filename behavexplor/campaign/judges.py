@@ -19,7 +19,7 @@ import numpy as np
 
 from behavexplor.behavior.features import ATTRIBUTES, known_states, state_matrix
 from behavexplor.campaign.judgment import Judgment, judgment
-from behavexplor.campaign.record import ENCODED, lines_of
+from behavexplor.campaign.record import ENCODED, Result, lines_of
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.scenario import LogicalScenario, draws
 from behavexplor.data.trace import Trace
@@ -31,7 +31,7 @@ from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.service import Recipe, Service
 from behavexplor.jit import keep_code_in
 from behavexplor.judge.closest_approach import Nearness, known_nearness
-from behavexplor.judge.specs import SPECS, Verdict
+from behavexplor.judge.specs import SPECS
 
 JUDGE: Final = "judge"  # function of the service
 WORKERS_OF_A_JUDGE: Final = 4  # a trace takes longer to drive than to judge
@@ -176,7 +176,7 @@ def judged(data: bytes, drawn: bytes = b"", logical: LogicalScenario | None = No
     except ADSError as error:
         return "\n".join([*lines_of({"error": error.message}), "", ""]).encode() + _END
     scenario = ENCODED(logical.sample(draws(*json.loads(drawn))).to_dict()) if drawn and logical else ""
-    near = json.dumps(Nearness.of(found.trace, found.verdict)) if nearness else ""
+    near = json.dumps(Nearness.of(found.trace, found.result.verdict)) if nearness else ""
     return "\n".join([*found.lines, scenario, near]).encode() + _END + state_matrix(found.trace).tobytes()
 
 
@@ -191,9 +191,7 @@ def _set(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
     matrix = np.frombuffer(states, dtype=np.float32).reshape(-1, len(ATTRIBUTES))
     computed = known_states("route", matrix) | (known_nearness(*json.loads(near)) if near else {})
     trace = Trace.of_packed(data, **computed)
-    verdict, outcome = Verdict(values["degrees"], tuple(values["violated"])), (values["end"], values["duration"])
-    named = values.get("class"), values.get("fault")
-    judging.set_result(Judgment(data, trace, *outcome, verdict, *named, failure=None, lines=lines, scenario=scenario))
+    judging.set_result(Judgment(data, trace, Result.from_dict(values), lines, scenario))
 
 
 def pass_by() -> Trace:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from behavexplor.campaign.confirmation import Confirmation, difference, keep
-from behavexplor.campaign.record import ERROR, Record, lines_of
+from behavexplor.campaign.record import ERROR, Record, Result
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, brief, sentence
@@ -27,13 +27,8 @@ class Judgment:
 
     data: bytes
     trace: Trace
-    end: str
-    duration: float  # its duration [s]
-    verdict: Verdict
-    violation_class: str | None  # id of the failure's class; None for a passed execution
-    fault: str | None  # who was at fault in a collision, as stored in a record
-    failure: dict[str, str] | None  # how the ADS failed, as stored in a record; None if it did not
-    lines: Sequence[str]  # all that as it stands in a record, see `Record.lines_around`
+    result: Result
+    lines: Sequence[str]  # the result as it stands in a record, see `Record.lines_around`
     scenario: str | None = None  # the scenario as JSON, if a judge has drawn it again
 
 
@@ -51,19 +46,17 @@ def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec])
     verdict = judge(trace, specs)
     if failure is not None:
         verdict = replace(verdict, violated=(ERROR,))
-    kind, fault = _class_id(trace, verdict, failure), collision_fault(trace, verdict.violated)
-    written: dict[str, Any] = {
-        "end": trace.end,
-        "error": failure,
-        "duration": trace.duration,
-        "violated": verdict.violated,
-        "class": kind,
-        "fault": fault,
-        "degree": verdict.degree,
-        "degrees": dict(verdict.degrees),
-    }
-    lines = lines_of({name: value for name, value in written.items() if value is not None})
-    return Judgment(data, trace, trace.end, trace.duration, verdict, kind, fault, failure, lines)
+    result = Result(
+        end=trace.end,
+        error=failure,
+        duration=trace.duration,
+        violated=verdict.violated,
+        violation_class=_class_id(trace, verdict, failure),
+        fault=collision_fault(trace, verdict.violated),
+        degree=verdict.degree,
+        degrees=dict(verdict.degrees),
+    )
+    return Judgment(data, trace, result, result.result_lines)
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:
@@ -105,20 +98,20 @@ def repeat_execution(executor: Executor, execution: Execution) -> Repetition:
     data = execution.load_trace().to_bytes()
     if Trace.from_bytes(again).to_bytes() != data:
         return Repetition(False, "The execution was NOT reproduced: running it again gave a different trace.")
-    if apart := _misjudged(execution.record, judgment(data, None, SPECS)):
+    if apart := _misjudged(execution.record, judgment(data, None, SPECS).result):
         words = f"running it again gave the same trace, but its record says {apart}, as this version judges the trace"
         return Repetition(False, sentence(f"The record is NOT that of the execution: {words}."))
     return Repetition(True, "The execution was reproduced: running it again gave the same trace.")
 
 
-def _misjudged(record: Record, found: Judgment) -> str:
+def _misjudged(record: Record, found: Result) -> str:
     """Return what a record says otherwise than the judgment of its trace, in words; empty if nothing.
 
     Specs of users are left out, because their code is not run for this.
     """
     ours = {ERROR, *(spec.name for spec in SPECS)}
     said: dict[str, Any] = {"end": record.end, "violated": [name for name in record.violated if name in ours]}
-    true: dict[str, Any] = {"end": found.end, "duration": found.duration, "violated": [*found.verdict.violated]}
+    true: dict[str, Any] = {"end": found.end, "duration": found.duration, "violated": [*found.violated]}
     if record.duration is not None:
         said["duration"] = record.duration
     if ours.issuperset(record.violated):  # else, class and fault can be by a spec of a user

@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.judge.fault import is_at_fault
-from behavexplor.judge.specs import ERROR
+from behavexplor.judge.specs import ERROR, Verdict
 
 __all__ = ["ERROR", "Record"]
 
@@ -37,15 +37,25 @@ class WrittenValues(Mapping[str, Any]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
-    """The figures of one execution. Equal campaigns have equal records.
-
-    Fields that are None are left out when the record is written, but for the parent.
+class Ancestry:
+    """Where an execution's scenario comes from in the search.
 
     Attributes:
         id: number of the execution, counted from 0 in the order in which the search asked for them.
-        origin: origin of the scenario in the search, such as "initial" or the kind of a mutation.
+        origin: origin of the scenario, such as "initial" or the kind of a mutation.
         parent: number of the execution whose scenario was mutated; None without a parent.
+    """
+
+    id: int
+    origin: str | None = None
+    parent: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """How an execution ended, and whether and how it failed.
+
+    Attributes:
         end: end of the episode, see `behavexplor.data.trace.ENDS`.
         error: "kind" and "message" of the ADS's own failure, see `behavexplor.execution.executor.ADSError`; None if it
             drove.
@@ -55,17 +65,8 @@ class Record:
         fault: fault for a collision, see `behavexplor.judge.fault`; None without one.
         degree: sum of the violation degrees (the paper's O).
         degrees: violation degree of each spec, by its name.
-        novelty: distance to the nearest earlier behavior of the campaign, in [0, 1].
-        novel: whether the behavior is new to the campaign.
-        search: figures of the search method, JSON values by name.
-        scenario: the scenario as `behavexplor.data.scenario.Scenario.to_dict` gives it.
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(strict=True, extra="ignore")
-
-    id: int
-    origin: str | None = None
-    parent: int | None = None
     end: str
     error: dict[str, str] | None = None
     duration: float | None = None
@@ -74,10 +75,17 @@ class Record:
     fault: str | None = None
     degree: float | None = None
     degrees: dict[str, float] = field(default_factory=dict)
-    novelty: float | None = None
-    novel: bool = False
-    search: dict[str, Any] = field(default_factory=dict)
-    scenario: Mapping[str, Any]
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Return the result that a record has as JSON values."""
+        named = {_FIELDS.get(name, name): value for name, value in values.items()}
+        return cls(**named | {"violated": tuple(values["violated"])})
+
+    @property
+    def verdict(self) -> Verdict:
+        """The judgment of all specs, the ADS's own failure among them."""
+        return Verdict(self.degrees, self.violated)
 
     @property
     def failed(self) -> bool:
@@ -88,6 +96,34 @@ class Record:
     def at_fault(self) -> bool:
         """True if the execution failed, and the driving system was at fault as far as the trace can tell."""
         return self.failed and is_at_fault(self.fault)
+
+    @property
+    def result_lines(self) -> list[str]:
+        """The result as it stands in a record, see `lines_of`."""
+        values = {_KEYS.get(name, name): getattr(self, name) for name in _RESULT}
+        return lines_of({name: value for name, value in values.items() if value is not None})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record(Result, Ancestry):
+    """The figures of one execution: where it comes from, its result, and what the search saw in it.
+
+    Equal campaigns have equal records. Fields that are None are left out when the record is written, but for the
+    parent.
+
+    Attributes:
+        novelty: distance to the nearest earlier behavior of the campaign, in [0, 1].
+        novel: whether the behavior is new to the campaign.
+        search: figures of the search method, JSON values by name.
+        scenario: the scenario as `behavexplor.data.scenario.Scenario.to_dict` gives it.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(strict=True, extra="ignore")
+
+    novelty: float | None = None
+    novel: bool = False
+    search: dict[str, Any] = field(default_factory=dict)
+    scenario: Mapping[str, Any]
 
     def load_scenario(self) -> Scenario:
         """Return the executed scenario.
@@ -112,12 +148,12 @@ class Record:
         """Return the record as JSON."""
         return json_of(self.lines)
 
-    def lines_around(self, outcome: Sequence[str]) -> list[str]:
-        """Return the record as lines of JSON, of which those from `end` to `degrees` have been written already."""
+    def lines_around(self, result: Sequence[str]) -> list[str]:
+        """Return the record as lines of JSON, of which the `result_lines` have been written already."""
         scenario = self.scenario.text if isinstance(self.scenario, WrittenValues) else ENCODED(self.scenario)
         before = {"id": self.id, "origin": self.origin, "parent": self.parent}
         after = {"novelty": self.novelty, "novel": self.novel, "search": self.search}
-        return [*lines_of(before), *outcome, *lines_of(after), f'"scenario": {scenario}']
+        return [*lines_of(before), *result, *lines_of(after), f'"scenario": {scenario}']
 
     @classmethod
     def from_json(cls, data: bytes | str) -> Self:
@@ -135,7 +171,9 @@ class Record:
 
 _ADAPTER: Final = TypeAdapter(Record)
 _NAMES: Final = tuple(one.name for one in fields(Record))
+_RESULT: Final = tuple(one.name for one in fields(Result))
 _KEYS: Final = {"violation_class": "class"}  # of a record in JSON, where they are not the names of the fields
+_FIELDS: Final = {key: name for name, key in _KEYS.items()}
 ENCODED: Final = json.JSONEncoder(allow_nan=False).encode  # without the time that `json.dumps` takes to make one
 
 

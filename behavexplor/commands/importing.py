@@ -114,9 +114,9 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
         except RuntimeError as error:
             say(f"{program()}: {sentence(f'The scenario could not be executed: {error}')}", file=sys.stderr)
             return EXECUTION_FAILED
-    judged = judgment(data, None, SPECS)
-    trace, violated = judged.trace, judged.verdict.violated
-    say(wrapped(f"{logical.describe(scenario)}: {outcome(violated, trace.end)} after {trace.duration:.2f} s"))
-    if judged.violation_class is not None:
-        say(f"Class: {judged.violation_class}")
+    result = judgment(data, None, SPECS).result
+    ended = outcome(result.violated, result.end)
+    say(wrapped(f"{logical.describe(scenario)}: {ended} after {result.duration:.2f} s"))
+    if result.violation_class is not None:
+        say(f"Class: {result.violation_class}")
     return OK

@@ -65,13 +65,11 @@ def test_a_judge_says_what_the_campaign_would_say(judges):
         future.set_result(data)
     for future, data in zip(futures, TRACES, strict=True):
         found, own = future.result(60), judgment(data, None, SPECS)
-        assert (found.end, found.duration, found.verdict) == (own.end, own.duration, own.verdict)
-        assert (found.violation_class, found.fault, found.data) == (own.violation_class, own.fault, data)
-        assert found.verdict.violated == own.verdict.violated
+        assert (found.result, found.data, found.lines) == (own.result, data, own.lines)
         assert state_matrix(found.trace).tobytes() == state_matrix(own.trace).tobytes()
         assert "position" not in vars(found.trace)  # nothing has been read until now
         assert found.trace.to_bytes() == data
-    assert any(future.result().verdict.failed for future in futures)
+    assert any(future.result().result.failed for future in futures)
 
 
 def test_a_judge_computes_how_near_a_failure_was_if_the_method_uses_it():
@@ -79,7 +77,7 @@ def test_a_judge_computes_how_near_a_failure_was_if_the_method_uses_it():
     futures, found = [made.follow(done(data)) for data in TRACES], set()
     for future, data in zip(futures, TRACES, strict=True):
         judged_one, trace = future.result(60), Trace.from_bytes(data)
-        nearness = Nearness.of(judged_one.trace, judged_one.verdict)
+        nearness = Nearness.of(judged_one.trace, judged_one.result.verdict)
         assert nearness == Nearness.of(trace, judge(trace, SPECS))
         assert "position" not in vars(judged_one.trace)  # nothing has been read
         found.add(nearness)
@@ -94,7 +92,7 @@ def test_what_is_no_trace_is_the_drivers_failure(judges):
     canceled, never = Future(), None
     never = judges.follow(canceled)
     canceled.cancel()
-    assert whole.result(60).end
+    assert whole.result(60).result.end
     for future, words in ((other, "sent what is no trace"), (failed, "no gap")):
         with pytest.raises(ADSError, match=words):
             future.result(60)

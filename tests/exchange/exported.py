@@ -71,8 +71,8 @@ def repeated(scenarios, env, ads):
 def difference(execution: Execution, again: Trace):
     """How an imported scene differs from what was exported: greatest distance [m], and verdicts that are not equal."""
     recorded = execution.load_trace()
-    judged = judgment(again.to_bytes(), None, SPECS)
-    said = (judged.verdict.violated, judged.violation_class)
+    result = judgment(again.to_bytes(), None, SPECS).result
+    said = (result.violated, result.violation_class)
     expected = (execution.record.violated, execution.record.violation_class)
     if recorded.position.shape != again.position.shape:
         return np.inf, said, expected
