@@ -35,17 +35,18 @@ if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
-_INSTALLATION = f"behavexplor-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]}"
+_INSTALLATION = f"behavexplor-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]}"  # name of its folder for code
+# absolute import statements; relative ones are not followed
 _IMPORT = re.compile(r"^(?:from|import) ([.\w]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 _njit = cast("Any", numba.njit)  # its stubs leave some options out
-_COMPILING: Final = "Compiling to machine code; this takes some seconds, and is cached for next time"
+_COMPILING: Final = "Compiling to machine code; this takes some seconds, and the code is kept for next time ..."
 _COMPILING_SLOWLY: Final = (
     "Compiling to machine code; this takes minutes, and driving takes several times as long as usual, with numba "
     f"{numba.__version__}, which is not one of the versions that this package knows ..."
 )
-_OPTIONS: Final = {"nogil": True, "error_model": "numpy"}
+_COMMON_OPTIONS: Final = {"nogil": True, "error_model": "numpy"}
 
-# Kernels are fast by options and classes that numba keeps to itself, in the versions with which they were tested. With
+# Kernels owe their speed to private options and classes of numba, in the versions with which they were tested. With
 # any other version there are none: the results are the same, but compilation takes more than twice as long, and a step
 # of an environment up to eight times.
 TESTED: Final = ("0.61.", "0.62.", "0.63.", "0.64.", "0.65.", "0.66.", "0.67.", "0.68.")
@@ -122,18 +123,19 @@ class _WholeCompiler(_Compiler):  # type: ignore[misc]
 
 Options = Mapping[str, object]
 WHOLE: Options = {"pipeline_class": _WholeCompiler, "no_cfunc_wrapper": True}  # C calls no kernels
-IN_PLACE: Options = {**WHOLE, "_nrt": False}
+IN_PLACE: Options = {**WHOLE, "_nrt": False}  # no counting of references to arrays
+# Python cannot call it
 INNER: Options = {**IN_PLACE, "pipeline_class": _PartCompiler, "no_cpython_wrapper": True}
-if not IS_TESTED:
+if not IS_TESTED:  # see `TESTED`
     WHOLE = IN_PLACE = INNER = {}
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function on plain arrays. The machine code is cached, see `place_for_code`.
+    """Compile a function on plain arrays. The machine code is cached, see `folder_for_code`.
 
     Neither `fastmath` nor parallel loops are used, because results must not depend on the machine.
     """
-    return _kept(function, WHOLE)
+    return _compile_and_keep(function, WHOLE)
 
 
 def kernel_in_place(function: Function) -> Function:
@@ -143,7 +145,7 @@ def kernel_in_place(function: Function) -> Function:
     counting took more than half of their time. Numba refuses to compile a function that creates an array. A test
     checks that none of these functions returns one.
     """
-    return _kept(function, IN_PLACE)
+    return _compile_and_keep(function, IN_PLACE)
 
 
 def kernel_inner(function: Function) -> Function:
@@ -153,7 +155,7 @@ def kernel_inner(function: Function) -> Function:
     machine code of it every time. A kernel with its parts is compiled in half of the time or less, and runs up to twice
     as fast, because the compiler sees that nothing else calls them.
     """
-    return cast("Function", _njit(**_OPTIONS, **INNER)(function))
+    return cast("Function", _njit(**_COMMON_OPTIONS, **INNER)(function))
 
 
 def compiled_for(function: Function, *arguments: object) -> Function:
@@ -168,7 +170,7 @@ def compiled_for(function: Function, *arguments: object) -> Function:
 
 
 class _MachineCode(partial[Any]):
-    """Machine code that can be pickled. A `partial` takes less time to call it than a method."""
+    """Machine code that can be pickled. It is a `partial`, because that is called in less time than a method."""
 
     recipe: tuple[str, str, tuple[Any, ...]]
 
@@ -210,50 +212,51 @@ event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
 
 
 def keep_code_in(folder: Path) -> None:
-    """Let numba keep machine code in a folder from now on, which begins with a copy of what is kept so far.
+    """Let numba keep machine code in a folder from now on, and copy there what it has kept so far.
 
     It is for a process that is about to lose its right to write anywhere else. Numba raises an error if it cannot write
     to the folder that it has found.
     """
-    global _PLACE  # noqa: PLW0603 - as numba, this module has one setting for all threads
-    for kept in _PLACE.glob(f"*-{_TOOLS}-*"):
+    global _code_folder  # noqa: PLW0603 - like numba, this module has one setting for all threads
+    for kept in _code_folder.glob(f"*-{_TOOLS}-*"):
         with suppress(OSError):  # another process is changing it
             shutil.copytree(kept, folder / kept.name)
     os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-    _PLACE = folder
-    for made in _KEPT:
-        _place(made)
+    _code_folder = folder
+    for made in _KERNELS:
+        _enable_caching(made)
 
 
-def _kept(function: Function, options: Options) -> Function:
+def _compile_and_keep(function: Function, options: Options) -> Function:
     """Compile a function, and let numba keep its code. What was kept for earlier sources of its module is deleted."""
-    made = _njit(**_OPTIONS, **options)(function)
+    made = _njit(**_COMMON_OPTIONS, **options)(function)
     module = function.__module__
-    if not _folder(module).exists():
-        for stale in _PLACE.glob(f"{module}-{_TOOLS}-*"):
+    if not _folder_of(module).exists():
+        for stale in _code_folder.glob(f"{module}-{_TOOLS}-*"):
             shutil.rmtree(stale, ignore_errors=True)
-    _place(made)
-    _KEPT.append(made)
+    _enable_caching(made)
+    _KERNELS.append(made)
     return cast("Function", made)
 
 
-def _place(made: Any) -> None:
+def _enable_caching(made: Any) -> None:
     """Let numba keep the code of a kernel in the folder for all that it depends on, or nowhere if it cannot write."""
-    with _placing:
-        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(_folder(made.__module__))  # type: ignore[attr-defined]
+    with _CACHE_DIR_LOCK:
+        before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+        numba.config.CACHE_DIR = str(_folder_of(made.__module__))  # type: ignore[attr-defined]
         try:
-            with suppress(RuntimeError):  # it finds no place
+            with suppress(RuntimeError):  # numba finds no folder where it can write
                 made.enable_caching()
         finally:
             numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
 
 
-def _folder(module: str) -> Path:
-    return _PLACE / f"{module}-{_TOOLS}-{_digest(module)}"
+def _folder_of(module: str) -> Path:
+    return _code_folder / f"{module}-{_TOOLS}-{_digest(module)}"
 
 
 def _tools() -> str:
-    """Return a digest of what makes machine code of sources, and of the settings of it."""
+    """Return a digest of the versions and settings of all that compiles: Python, numba, LLVM and NumPy."""
     settings = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_") and "CACHE" not in item[0])
     tools = (sys.version, numba.__version__, llvmlite.__version__, np.__version__, settings)
     return hashlib.sha256(repr(tools).encode()).hexdigest()[:8]
@@ -261,10 +264,10 @@ def _tools() -> str:
 
 @cache
 def _digest(module: str) -> str:
-    """Return the digest of a module and of all modules that it imports, recursively: their sources and constants.
+    """Return the digest of the sources and constants of a module and of those that it imports, recursively.
 
-    These are modules of its own package and of this one. When a kernel is made, its module has imported them. Numba
-    compiles the values of constants in, and some come from other libraries.
+    Only modules of its own package and of this one count. They are loaded before a kernel is made. Constants count
+    because numba compiles their values in, and some values come from other libraries.
     """
     reached = {module}
     waiting = [module]
@@ -280,6 +283,7 @@ def _digest(module: str) -> str:
 
 @cache
 def _imported(module: str) -> frozenset[str]:
+    """Return the modules, of the same package or this one, that a module's source imports."""
     roots = {__package__, module.partition(".")[0]}
     found: set[str] = set()
     for name, *parts in _IMPORT.findall(_source(module)):
@@ -290,9 +294,9 @@ def _imported(module: str) -> frozenset[str]:
 
 @cache
 def _source(module: str) -> str:
-    file = getattr(sys.modules[module], "__file__", None) or ""
+    file = getattr(sys.modules[module], "__file__", None)
     with suppress(OSError):  # the module is in an archive or a notebook
-        return Path(file).read_text(encoding="utf-8", errors="surrogateescape")
+        return Path(file).read_text(encoding="utf-8", errors="surrogateescape") if file else ""
     return ""
 
 
@@ -303,6 +307,7 @@ def _constants(module: str) -> list[tuple[str, object]]:
 
 
 def _numbers(value: object) -> object:
+    """Return a number, or the content of an array or tuple, to be hashed; None for any other value."""
     if isinstance(value, tuple):
         return tuple(map(_numbers, value))
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:
@@ -310,15 +315,17 @@ def _numbers(value: object) -> object:
     return value if isinstance(value, (int, float, complex, np.generic)) else None
 
 
-def place_for_code() -> Path:
+def folder_for_code() -> Path:
     """Return the folder for machine code.
 
     It is the first one where this process can write: `NUMBA_CACHE_DIR` if that is set, beside the source, in the user's
-    cache, or a temporary folder. If there is none, such as in a container whose root is read-only, it compiles again.
+    cache, or a temporary folder. If it can write nowhere, as in a container whose root is read-only, each process
+    compiles again.
     """
     named = numba.config.CACHE_DIR  # type: ignore[attr-defined]
     beside = _PACKAGE / "__pycache__"
-    places = [*([Path(named) / _INSTALLATION] if named else []), beside, user_cache_path() / _INSTALLATION]
+    first = [Path(named) / _INSTALLATION] if named else []
+    places = [*first, beside, user_cache_path() / _INSTALLATION]
     writable = next(filter(_is_writable, places), None)
     return writable or _own_temporary_folder() or beside
 
@@ -348,7 +355,8 @@ def _own_temporary_folder() -> Path | None:
     return folder if is_ours or not hasattr(os, "getuid") else None
 
 
-_PLACE = place_for_code()
-_TOOLS = _tools()
-_placing = Lock()  # numba has one setting for all threads
-_KEPT: list[Any] = []  # kernels whose code is kept
+# at the end, because they call the functions above
+_code_folder = folder_for_code()  # where numba keeps machine code
+_TOOLS: Final = _tools()
+_CACHE_DIR_LOCK: Final = Lock()  # numba has one setting for all threads
+_KERNELS: Final[list[Any]] = []  # those whose code is kept

@@ -1,11 +1,11 @@
-"""Driving systems under test by their names, from files, modules or this package; and functions as drivers."""
+"""Load driving systems under test by name: of this package, from files or modules, or functions as drivers."""
 
 import inspect
 from collections.abc import Callable, Collection, Mapping
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def check_name(name: str) -> None:
     """Refuse a name that cannot denote an ADS, without loading anything.
 
     Raises:
-        InputError: if the name is neither a system of this package, nor a file, nor "module:attribute".
+        InputError: if the name denotes no ADS; the message says what was probably meant.
     """
     system, separator, variant = name.partition(":")
     module = name.removesuffix(".py")
@@ -84,14 +84,14 @@ def load_ads(
     check_name(name)
     system, _, variant = name.partition(":")
     if system in _ON_ROUTES:
-        _own_roads(f"The driving system {name!r}", roadmap)
+        roadmap = _roads_for(f"The driving system {name!r}", roadmap)
     if system in SYSTEMS:
         module_name, _, factory = SYSTEMS[system].partition(":")
         ads: ADS = getattr(import_module(module_name), factory)(roadmap, variant)
         return ads
     if name.endswith(".npz") or is_policy(name):
         return _policy(Path(name), roadmap, trust, activation)
-    module_name, attribute = system, variant
+    module_name, _, attribute = name.partition(":")
     if module_name == IN_MEMORY:
         raise InputError(
             f"The driver was an object in memory ({attribute}), which no command can load: give it again in Python, "
@@ -105,11 +105,11 @@ def load_ads(
     return _made(name, found, roadmap)
 
 
-def _own_roads(driver: str, roadmap: RoadMap | None) -> RoadMap:
-    """Return the road map, or refuse a driver that follows a route on it where there is none."""
+def _roads_for(subject: str, roadmap: RoadMap | None) -> RoadMap:
+    """Return the road map on which a driver, the subject of the error, follows a route; refuse it if there is none."""
     if roadmap is None:
         raise InputError(
-            f"{driver} follows a route on the roads of this package: in an environment of highway-env, name a policy "
+            f"{subject} follows a route on the roads of this package: in an environment of highway-env, name a policy "
             f"file, your own module:attribute, careful, or constant:ACTION"
         )
     return roadmap
@@ -119,7 +119,7 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activat
     """Load the policy in a file or folder."""
     if path.suffix == ".npz":
         network = read_network(path)
-        return LearnedDriver(_own_roads(f"The driving system {str(path)!r}", roadmap), network)
+        return LearnedDriver(_roads_for(f"The driving system {str(path)!r}", roadmap), network)
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
         from behavexplor.ads.sb3.wrappers import in_wrappers  # noqa: PLC0415
@@ -127,31 +127,31 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activat
     except ModuleNotFoundError as error:
         raise missing_library(str(path), error.name, "rl") from None
     model = find_model(path)
-    described = describe(model)
+    description = describe(model)
     if model.suffix in WEIGHTS:
         policy: Any = load_weights(model, activation)
-    elif described.decision is None:
+    elif description.decision is None:
         policy = load_policy(path, trust)
     else:
-        _check_features(model, described)
-        policy = _learned(model, described.decision, roadmap, trust)
-    ads: ADS = in_wrappers(policy, model, described.wrappers, trust)
+        _check_features(model, description)
+        policy = _learned(model, description.decision, roadmap, trust)
+    ads: ADS = in_wrappers(policy, model, description.wrappers, trust)
     return ads
 
 
-def _check_features(model: Path, described: Description) -> None:
+def _check_features(model: Path, description: Description) -> None:
     """Refuse a network of `train` that is described as seeing anything but the features."""
-    if described.statistics is not None or described.frame_stack > 1:
+    if description.statistics is not None or description.frame_stack > 1:
         raise InputError(f"{model} is described as a network of `train`, whose features are neither scaled nor stacked")
 
 
 def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection[str]) -> Any:
-    """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3."""
+    """Return the driver of a network of `train` that was saved as a model of SB3; refuse it where there is no route."""
     from behavexplor.ads.sb3.dense_layers import trained_network  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.policy import load_network  # noqa: PLC0415
 
     network = load_network(read_archive(model), trust)
-    roads = _own_roads(f"{model}, a network of `train`,", roadmap)
+    roads = _roads_for(f"{model}, a network of `train`,", roadmap)
     return LearnedDriver(roads, trained_network(network, rule))
 
 
@@ -169,7 +169,7 @@ def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
 
 
 def as_driver(found: Any) -> ADS | None:
-    """Return an object that predicts as it is, a function of one observation as a driver, and None for others."""
+    """Return an object with a `predict` method itself, a function of one observation as a driver; None for the rest."""
     if isinstance(found, type):
         return None
     try:
@@ -177,12 +177,9 @@ def as_driver(found: Any) -> ADS | None:
     except Exception as error:  # a property can raise anything
         raise InputError(f"The predict method of the driver cannot be looked at: {described(error)}") from error
     if predicts:
-        driver: ADS = found
-        return driver
+        return cast("ADS", found)
     if callable(found) and takes_one_observation(found):
-        function: Any = FunctionDriver(found)
-        made: ADS = function
-        return made
+        return cast("ADS", FunctionDriver(found))
     return None
 
 
@@ -209,7 +206,7 @@ class FunctionDriver:
     """
 
     vectorized = False
-    is_function = True
+    is_function = True  # so that messages speak of a function instead of `predict`
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
         self._function = function

@@ -1,7 +1,4 @@
-"""BehaviorMiner: convert traces to sequences of abstract states, which can be compared.
-
-In this order: the distances of such sequences, the clusters of states, the miner, the file that keeps states, and the
-archive of a campaign's distinct behaviors.
+"""BehaviorMiner: abstract states of traces by clustering, their distances, and the archive of distinct behaviors.
 
 Source: paper section 3.2.1. The cost of refitting the clusters would grow with every behavior. Here, a refit starts
 from the centers of the last one, uses a bounded sample of merged states, and happens at growing intervals.
@@ -34,13 +31,16 @@ from behavexplor.behavior.features import (
     nearest_clusters,
     state_matrix,
 )
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Bytes, Floats, Ints, Singles
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place
 
 MAX_CLUSTERS: Final = 256
+MAX_IN_MEMORY: Final = 16 * 2**20  # greatest size of states in memory [bytes]: about 1700 behaviors of 30 s
+NOVELTY_THRESHOLD: Final = 0.4  # the paper's theta_c
+Scaling = Literal["zscore", "none"]
 
 
 class AbstractTraces:
@@ -78,8 +78,8 @@ class AbstractTraces:
     def distances(self, labels: Labels) -> Floats:
         """Compute the distance of an abstract trace, shape (length,), from each of these; shape (len(self),).
 
-        It is `dis` of the paper's equation 9: (Hamming distance over the common part + difference of the lengths) / the
-        longer length, in [0, 1]. That of two empty traces is 0.
+        It is `dis` of the paper's equation 9, in [0, 1]: the Hamming distance over the common part plus the difference
+        of the lengths, divided by the longer length; 0 for two empty traces.
         """
         distances = np.empty(self._count)
         find_distances(self._labels, self._starts[: self._count + 1], labels, distances)
@@ -96,13 +96,11 @@ def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:
 
 
 @kernel_in_place
-def find_distances(
-    labels: NDArray[np.uint8], starts: NDArray[np.int64], query: NDArray[np.uint8], distances: Floats
-) -> None:
+def find_distances(labels: Bytes, starts: Ints, query: Bytes, distances: Floats) -> None:
     """Find the distance of a query from each abstract trace, see `AbstractTraces.distances`.
 
-    The labels of all n abstract traces stand one after the other; `starts`, shape (n + 1,), are the places of their
-    first labels, and the end of the last one. The distances, shape (n,), are changed in place.
+    `labels` are those of all n abstract traces, one after the other, and `starts`, shape (n + 1,), where each begins
+    and the last one ends. `query` has the shape (length,). `distances`, shape (n,), is changed in place.
     """
     for i in range(len(distances)):
         first = starts[i]
@@ -122,9 +120,10 @@ def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_stat
     """Find the best centers by K-means from several starts, shape (clusters, features).
 
     A single thread computes them, so that their last bits do not depend on the machine's number of threads. If there
-    are fewer distinct rows than clusters, some centers are equal, and the first of them gets the rows. Rows, shape (n,
-    features), may be changed in their last bits. A start is centers, or the name of scikit-learn's way to choose them
-    by `random_state`.
+    are fewer distinct rows than clusters, some centers are equal, and the first of them gets the rows.
+
+    `rows`, shape (n, features), may change in their last bits. Each of `starts` is the initial centers, or the name of
+    scikit-learn's way to choose them, with the seed `random_state`.
     """
     from sklearn import config_context  # noqa: PLC0415 - slow to import, needed only once a campaign runs
     from sklearn.cluster import KMeans  # noqa: PLC0415
@@ -146,12 +145,6 @@ def _thread_pools() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-Scaling = Literal["zscore", "none"]
-States = NDArray[np.float32]
-IN_MEMORY: Final = 16 * 2**20  # greatest size of states in memory [bytes]: about 1700 behaviors of 30 s
-NOVELTY_THRESHOLD = 0.4  # the paper's theta_c
-
-
 @validated
 class MinerOptions:
     """Options for abstracting behaviors. The defaults are the paper's values, where it states them."""
@@ -167,7 +160,8 @@ class MinerOptions:
     # every novel behavior (paper). The default keeps the cost of an execution constant. Its novelty decisions agree
     # with the paper's rule more often than two random states of that rule agree with each other.
     refit_growth: Annotated[float, between(0)] = 0.25
-    sample_size: Annotated[int, between(1, 1_000_000)] = 20_000  # most merged states that are fitted, a uniform sample
+    # greatest number of merged states to which clusters are fitted, a uniform sample of all
+    sample_size: Annotated[int, between(1, 1_000_000)] = 20_000
     random_state: Annotated[int, between(0, 2**32 - 1)] = 0  # seed of the clustering and of the sample
 
     def __post_init__(self) -> None:
@@ -179,7 +173,7 @@ class MinerOptions:
 class Behavior:
     """The ego's behavior in one trace."""
 
-    states: NDArray[np.float32]  # the paper's X-bar, shape (N', 8)
+    states: Singles  # the paper's X-bar, shape (N', 8)
     window: int  # the paper's w, number of states in a window
     tail: Tail  # windows at the end of the trace, see `behavexplor.behavior.features.merged_states`
 
@@ -251,24 +245,26 @@ class BehaviorMiner:
         rows, mean, scale = _scaled(sample, self.options.scaling)
         count = min(self.options.clusters, len(rows))
         starts: list[Floats | str] = []
-        if len(self._clusters.centers) == count:
+        if len(self._clusters.centers) == count:  # from the last centers
             starts.append((self._clusters.unscaled_centers - mean) / scale)
-        if not starts or not self._sample.full:
+        if not starts or not self._sample.full:  # and afresh as long as the sample grows
             starts.append("k-means++")
         self._clusters = clusters_of(k_means(rows, count, starts, self.options.random_state), mean, scale)
         self._labeled = None
         for i, states in enumerate(self._states):
             self._traces[i] = self._labels(states)
 
-    def _labels(self, states: NDArray[np.float32]) -> Labels:
+    def _labels(self, states: Singles) -> Labels:
         return nearest_clusters(states, self.options.window, self.options.tail, self._clusters)
 
 
-def _scaled(sample: NDArray[np.float32], scaling: Scaling) -> tuple[Floats, Floats, Floats]:
+def _scaled(sample: Singles, scaling: Scaling) -> tuple[Floats, Floats, Floats]:
     """Return scaled rows, and the mean and the scale of each feature, see `behavexplor.behavior.features.Clusters`."""
     if scaling == "none":
         return sample.astype(np.float64), np.zeros(N_FEATURES), np.ones(N_FEATURES)
-    rows, mean, scale = np.empty(sample.shape), np.zeros(N_FEATURES), np.zeros(N_FEATURES)
+    rows = np.empty(sample.shape)
+    mean = np.zeros(N_FEATURES)
+    scale = np.zeros(N_FEATURES)
     standardize(sample, NEGLIGIBLE, mean, scale, rows)
     return rows, mean, scale
 
@@ -286,10 +282,11 @@ class _Sample:
         return self._seen >= len(self._rows)
 
     @property
-    def rows(self) -> NDArray[np.float32]:
+    def rows(self) -> Singles:
         return self._rows[: self._seen]
 
     def extend(self, rows: Floats) -> None:
+        """Let the row with number n replace a random one with probability size / (n + 1)."""
         numbers = np.arange(self._seen, self._seen + len(rows))
         slots = numbers.copy()
         late = numbers >= len(self._rows)
@@ -300,12 +297,12 @@ class _Sample:
 
 
 @kernel_in_place
-def standardize(sample: NDArray[np.float32], least: Floats, mean: Floats, scale: Floats, rows: Floats) -> None:
+def standardize(sample: Singles, least: Floats, mean: Floats, scale: Floats, rows: Floats) -> None:
     """Fill in the mean and the deviation of each feature, and the rows with mean 0 and deviation 1.
 
-    The sums run in the order of the rows, as in numpy. The sample has the shape (n, features), n > 0. A deviation below
-    `least`, shape (features,), is replaced by it. `mean` and `scale`, zeros of that shape, and `rows` are changed in
-    place.
+    The sums run in the order of the rows, as in numpy. `sample` has the shape (n, features), n > 0. `least`, shape
+    (features,), replaces smaller deviations. Changed in place: `mean` and `scale`, shape (features,), which must be
+    zeros, and `rows`, shape (n, features).
     """
     count, width = sample.shape
     for i in range(count):
@@ -327,11 +324,11 @@ def standardize(sample: NDArray[np.float32], least: Floats, mean: Floats, scale:
 class StateFile:
     """The states of behaviors in the order of their addition. Iteration yields them one by one.
 
-    They are in memory up to `IN_MEMORY` bytes, and beyond in a file of the temporary folder. The file has no name where
-    the system permits, so that it never outlives the process.
+    They are in memory up to `MAX_IN_MEMORY` bytes, and beyond in a file of the temporary folder. The file has no name
+    where the system permits, so that it never outlives the process.
     """
 
-    def __init__(self, in_memory: int = IN_MEMORY) -> None:
+    def __init__(self, in_memory: int = MAX_IN_MEMORY) -> None:
         self._lengths: list[int] = []
         self._file: IO[bytes] = tempfile.SpooledTemporaryFile(in_memory)  # noqa: SIM115 - closed with this object
         weakref.finalize(self, _close, self._file)
@@ -339,7 +336,7 @@ class StateFile:
     def __len__(self) -> int:
         return len(self._lengths)
 
-    def append(self, states: States) -> None:
+    def append(self, states: Singles) -> None:
         """Add the states of a behavior, shape (N', 8).
 
         Raises:
@@ -352,7 +349,7 @@ class StateFile:
             raise OSError(error.errno, error.strerror, tempfile.gettempdir()) from error
         self._lengths.append(len(states))
 
-    def __iter__(self) -> Iterator[States]:
+    def __iter__(self) -> Iterator[Singles]:
         width = len(ATTRIBUTES)
         self._file.seek(0)
         for length in self._lengths:
@@ -373,7 +370,7 @@ class NoveltyOptions:
         InputError: if the threshold is not in [0, 1].
     """
 
-    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # least distance between distinct ones, exclusive
+    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # distinct behaviors are farther apart
     miner: MinerOptions = field(default_factory=MinerOptions)
 
 

@@ -1,4 +1,4 @@
-"""Progress of a campaign in figures."""
+"""Progress of a campaign in figures: its executions and failures, and the time that it has spent in each stage."""
 
 import math
 import time
@@ -14,7 +14,7 @@ from behavexplor.judge.classes import words_of
 
 
 class Stage(StrEnum):
-    """What a campaign does at a time. Stages do not overlap."""
+    """What a campaign does at a moment. Stages do not overlap."""
 
     STARTING = auto()
     ASKING = auto()
@@ -36,8 +36,8 @@ STAGES: Final[Mapping[Stage, str]] = MappingProxyType(
         Stage.STORING: "writing to disk",
     }
 )
-LISTED: Final = 3  # number of failures of each spec whose numbers are kept
-_MOST_SECONDS: Final = 1e12
+LISTED: Final = 3  # greatest number of failures of each spec that are listed
+_MOST_SECONDS: Final = 1e12  # a longer time in a file is damage
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,12 @@ class Progress:
 
     executions: int = 0
     failed: int = 0
-    # numbers of failures by the most severe spec that they violate. R1 comes before R2 and R3, because a collision also
+    # how many failures, by the most severe spec that they violate. R1 comes before R2 and R3, because a collision also
     # keeps the ego from its destination. "error" counts failures of the ADS itself.
     violations: Mapping[str, int] = field(default_factory=dict)
-    # numbers of the first failures of each of these specs, at most `LISTED`
+    # the executions of the first failures of each of these specs, by their numbers; at most `LISTED`
     examples: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    classes: Mapping[str, ClassSummary] = field(default_factory=dict)  # by their ids; each is a unique violation
+    classes: Mapping[str, ClassSummary] = field(default_factory=dict)  # by id; each class is a unique violation
     novel: int = 0  # number of executions with a behavior that was new to the campaign
     elapsed: float = 0.0  # running time, including the time before an interruption [s]
     earlier: float = 0.0  # running time before the interruption [s]
@@ -99,18 +99,27 @@ class Progress:
 
     def after(self, record: Record, *, resumed: bool) -> Self:
         """Return the progress after one more execution, which may be `resumed`: taken from an earlier run."""
-        first, kind = record.violated[:1], record.violation_class
-        marks = [*(["novel"] if record.novel else []), *first]
-        marks += ["class"] if kind is not None and kind not in self.classes else []
-        classes = self.classes
+        marks = []  # of `last`
+        violations, examples, classes = dict(self.violations), dict(self.examples), dict(self.classes)
+        if record.novel:
+            marks.append("novel")
+        if record.violated:
+            worst = record.violated[0]
+            marks.append(worst)
+            violations[worst] = violations.get(worst, 0) + 1
+            examples[worst] = (*examples.get(worst, ()), record.id)[:LISTED]
+        kind = record.violation_class
         if kind is not None:
-            classes = {**classes, kind: classes.get(kind, ClassSummary(kind, 0, record.id, 0)).after(record)}
+            if kind not in classes:
+                marks.append("class")
+                classes[kind] = ClassSummary(kind, count=0, first=record.id, at_fault=0)
+            classes[kind] = classes[kind].after(record)
         return replace(
             self,
             executions=self.executions + 1,
             failed=self.failed + record.failed,
-            violations={**self.violations, **{name: self.violations.get(name, 0) + 1 for name in first}},
-            examples={**self.examples, **{name: (*self.examples.get(name, ()), record.id)[:LISTED] for name in first}},
+            violations=violations,
+            examples=examples,
             classes=classes,
             novel=self.novel + record.novel,
             resumed=self.resumed + resumed,
@@ -119,11 +128,11 @@ class Progress:
 
 
 class StageClock:
-    """A clock that adds up the time in each stage, `earlier` before the campaign was resumed [s]."""
+    """A clock that adds up the time in each stage [s]. `earlier` is that before the campaign was resumed."""
 
     def __init__(self, earlier: Mapping[str, float] = MappingProxyType({})) -> None:
         self._earlier = earlier
-        self.seconds = dict.fromkeys(map(str, Stage), 0.0)  # time in each stage since this clock was made [s]
+        self.seconds = {stage.value: 0.0 for stage in Stage}  # time in each stage since this clock was made [s]
 
     @contextmanager
     def during(self, stage: Stage) -> Iterator[None]:
@@ -141,7 +150,7 @@ class StageClock:
 
 
 def known_stages(values: Any) -> dict[str, float]:
-    """Return the stages and times in JSON values from a file, in order, without anything else that they hold."""
+    """Return the time in each stage from JSON values of a file, in the order of `STAGES`; leave out all else."""
     given = values if isinstance(values, dict) else {}
     return {stage: float(given[stage]) for stage in STAGES if _is_time(given.get(stage))}
 

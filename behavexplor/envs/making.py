@@ -30,9 +30,10 @@ def environment_id(name: str) -> str:
     """Return the gymnasium id of an environment.
 
     Args:
-        name: name of a functional scenario, such as "intersection-straight", or a full gymnasium id, such as
-            "highway-fast-v0". For an environment that another module registers, write "module:id". The id suffices if
-            its package declares the module as an entry point of the group `ENTRY_POINTS`.
+        name: name of a functional scenario, such as "intersection-straight", or the paper's name of it ("S1" to "S4");
+            or a full gymnasium id, such as "highway-fast-v0". For an environment that another module registers, write
+            "module:id". The id suffices if its package declares the module as an entry point of the group
+            `ENTRY_POINTS`.
 
     Raises:
         InputError: if there is no such environment.
@@ -45,10 +46,12 @@ def environment_id(name: str) -> str:
     if "/" in name:
         _import_plugin(name.partition("/")[0])
         return name
-    theirs = highway_ids()
+    importlib.import_module(HIGHWAY_ENV)  # registers its environments
     if name not in gymnasium.registry:
         own = [known for known in behavexplor.FUNCTIONAL_SCENARIOS if known.startswith(name)]
-        raise unknown_name("environment", name, own or [*behavexplor.FUNCTIONAL_SCENARIOS, *PAPERS_NAMES, *theirs])
+        raise unknown_name(
+            "environment", name, own or [*behavexplor.FUNCTIONAL_SCENARIOS, *PAPERS_NAMES, *highway_ids()]
+        )
     return name
 
 
@@ -79,11 +82,11 @@ def is_highway(name: str) -> bool:
     return _is_highway(made)
 
 
-def ignored_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
-    """Return the keys of a configuration that an environment of highway-env ignores, after a warning about each.
+def warn_of_ignored_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
+    """Warn about each key of a configuration that an environment of highway-env ignores, and return these keys.
 
     Raises:
-        InputError: if a key inside the observation or the action is unknown, or a text stands for a number.
+        InputError: if a key inside the observation or the action is unknown, or a number is given as a text.
     """
     from behavexplor.envs.env_config import check_space_keys  # noqa: PLC0415 - slow to import
 
@@ -126,7 +129,7 @@ def make_env(
 ) -> gymnasium.Env[Any, Any]:
     """Make an environment that runs concrete scenarios.
 
-    It takes `reset(options={"scenario": ...})`, and ends an episode with `info["trace"]`.
+    The environment takes `reset(options={"scenario": ...})`, and ends an episode with `info["trace"]`.
 
     Args:
         name: name of the environment, see `environment_id`.
@@ -203,8 +206,9 @@ def make_vector_env(
 ) -> VectorEnv[Any, Any, Any] | None:
     """Make the vector form of an environment of `make_env`, with autoreset disabled; None if it has none.
 
-    That of a highway-env environment begins its episodes in it. `changes` replace keys of its configuration. Without
-    `rewards`, a compiled environment takes its steps faster.
+    `env` comes from `make_env`; the vector form of a highway-env environment begins its episodes there. `changes`
+    replace keys of the configuration; with any, a highway-env environment has no vector form. Without `rewards`, a
+    compiled environment takes its steps faster.
 
     Raises:
         InputError: if the vector form does not support the configuration.
@@ -212,8 +216,8 @@ def make_vector_env(
     if _is_highway(env):
         from behavexplor.envs.highway.drawn_vector_env import DrawnVectorEnv  # noqa: PLC0415 - slow to import
 
-        drawn: Any = env
-        return None if changes else DrawnVectorEnv(drawn, num_envs, rewards=rewards)
+        inner: Any = env
+        return None if changes else DrawnVectorEnv(inner, num_envs, rewards=rewards)
     spec = env.spec
     if spec is None or spec.vector_entry_point is None:
         return None
@@ -253,6 +257,7 @@ def _kept_classes(spec: EnvSpec) -> AbstractContextManager[None]:
 def _is_highway(made: gymnasium.Env[Any, Any]) -> bool:
     from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415 - slow to import
 
+    """Return whether an environment is one of highway-env. One with a `logical` scenario has scripted vehicles."""
     inner = getattr(made.unwrapped, "inner", made.unwrapped)
     return isinstance(inner, AbstractEnv) and not hasattr(inner, "logical")
 
@@ -270,7 +275,8 @@ def make_registered(name: str, config: Mapping[str, Any], render_mode: str | Non
         spec = gymnasium.spec(own)
         merged = _with_tuples({**(spec.kwargs.get("config") or {}), **config})
         keywords: dict[str, Any] = {"config": merged} if merged else {}
-        keywords |= {"render_mode": render_mode} if render_mode else {}
+        if render_mode:
+            keywords["render_mode"] = render_mode
         with warnings.catch_warnings(), ExitStack() as stack:
             warnings.filterwarnings("ignore", message=".*out of date", category=DeprecationWarning)
             stack.enter_context(_kept_classes(spec))

@@ -32,21 +32,21 @@ PREFLIGHT: Final = "preflight"
 LOGICAL: Final = "logical"
 ROAD: Final = "road"
 DRAWS: Final = "draws"
-_COMPILING = "behavexplor.jit"  # logger that tells that the user has to wait, which is no warning about an ADS
 
 
 class Evaluator(Service):
     """Executes scenarios, checks the ADS before a campaign, and reports the fingerprint that results depend on.
 
-    At most `lock_step` episodes run in lock-step. The target is given by the fields of a
+    `lock_step` is the greatest number of episodes that run in lock-step. The other arguments are the fields of a
     `behavexplor.data.target.CheckedTarget`.
     """
 
     def __init__(self, lock_step: int = LOCK_STEP, **target: Any) -> None:
         self.target = CheckedTarget(**target)
-        self.is_confined = needs_confinement(self.target)  # whether the driving system is third-party code
+        self.is_confined = needs_confinement(self.target)  # whether the ADS is third-party code that gives up rights
         self._lock_step = lock_step
-        self.driver: ADS | None = None
+        self.driver: ADS | None = None  # drives in place of the target's ADS; None: nothing does
+        self.simulation: Simulation  # from `begin` on
         self.functions: Mapping[str, Callable[[bytes], bytes]] = {
             EXECUTE: self.execute,
             ORIGINAL: self.original,
@@ -57,7 +57,7 @@ class Evaluator(Service):
             FINGERPRINT: fingerprint,
         }
         self.batch: ScenarioBatch | None = None  # scenarios in lock-step; None if the ADS or the environment cannot
-        self._unprevented: tuple[str, ...] = ()
+        self._unprevented: tuple[str, ...] = ()  # what this system cannot prevent the ADS from doing
         self._notices: list[str] = []
 
     def prepare(self) -> None:
@@ -96,7 +96,9 @@ class Evaluator(Service):
         return self.answer(self.simulation.run_alone(_scenario(scenario, self.simulation)))
 
     def original(self, scenario: bytes) -> bytes:
-        """Execute a scenario as JSON in highway-env itself, whose environment it needs, and return its trace as bytes.
+        """Execute a scenario, given as JSON, in highway-env itself, and return its trace as bytes.
+
+        The environment must be one of highway-env.
 
         Raises:
             ADSError: if the ADS fails.
@@ -108,10 +110,7 @@ class Evaluator(Service):
         return trace.to_bytes()
 
     def logical(self, _: bytes) -> bytes:
-        """Return the logical scenario of a highway-env environment as JSON, which depends on what the ADS declares.
-
-        For an environment with scripted vehicles, that is nothing.
-        """
+        """Return the logical scenario of a highway-env environment as JSON. It depends on what the ADS declares."""
         return self.simulation.logical.to_json().encode()
 
     def road(self, _: bytes) -> bytes:
@@ -137,8 +136,8 @@ class Evaluator(Service):
 class ScenarioBatch:
     """Executes many scenarios in lock-step; see `behavexplor.execution.service.Batch`.
 
-    Its capacity is the number of episodes that can still begin now. `answer` makes the result of a request from a
-    trace.
+    Its capacity is the number of `episodes` that could begin when it was made. `answer` makes a trace the result of a
+    request.
     """
 
     def __init__(self, simulation: Simulation, episodes: LockStep, answer: Callable[[Trace], bytes]) -> None:
@@ -175,12 +174,14 @@ class ScenarioBatch:
 
 
 def simulation_of(target: Target, driver: ADS | None = None, render_mode: str | None = None) -> Simulation:
-    """Return the simulation of a target, in which a given `driver` drives in place of the driving system of that name.
+    """Return the simulation of a target. If there is a `driver`, it drives in place of the one that the target names.
+
+    `render_mode` is as in gymnasium.
 
     Raises:
         InputError: see `behavexplor.execution.simulation.Simulation`.
     """
-    settings = {name: getattr(target, name) for name in OF_EPISODES}
+    settings = {name: getattr(target, name) for name in OF_EPISODES}  # env_config, traffic, stochastic, activation
     return Simulation(target.env, driver or target.ads, target.trust, render_mode=render_mode, **settings)
 
 
@@ -211,23 +212,29 @@ def needs_confinement(target: Target) -> bool:
     return not (target.unconfined or is_shipped(target.ads))
 
 
-def _explained(sentence: str) -> str:
+def _explained(message: str) -> str:
     """Return an error message, with a hint if confinement is its likely cause."""
-    if "PermissionError" not in sentence:
-        return sentence
-    return f"{sentence}: without --unconfined, an ADS may neither write files nor use the network"
+    if "PermissionError" not in message:
+        return message
+    return f"{message}: without --unconfined, an ADS may neither write files nor use the network"
 
 
 def _scenario(data: bytes, simulation: Simulation) -> Scenario:
-    """Return the scenario in a request: as JSON, or drawn by a seed and a number, which are a list."""
+    """Return the scenario of a request, which is its JSON, or [seed, number] of a uniform draw as JSON."""
     if data.startswith(b"["):
         return simulation.logical.sample(draws(*json.loads(data)))
     return parse_scenario(data.decode())
 
 
+_JIT_LOGGER: Final = "behavexplor.jit"  # it tells that the user has to wait, which is no warning about an ADS
+
+
 @contextmanager
 def collected_notices() -> Iterator[list[str]]:
-    """Collect what is logged at level WARNING or above, and Python's warnings, as lines, instead of printing it."""
+    """Yield a list to which logged warnings and Python's warnings are added as printable lines, instead of being shown.
+
+    Python's warnings are added at the end of the context only.
+    """
     notices: list[str] = []
     handler = _Collector(notices)
     root = logging.getLogger()
@@ -244,7 +251,7 @@ class _Collector(logging.Handler):
     def __init__(self, notices: list[str]) -> None:
         super().__init__(logging.WARNING)
         self._notices = notices
-        self.addFilter(lambda record: record.name != _COMPILING)
+        self.addFilter(lambda record: record.name != _JIT_LOGGER)
 
     def emit(self, record: logging.LogRecord) -> None:
         self._notices.append(sentence(record.getMessage()))

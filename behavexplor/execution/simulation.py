@@ -27,11 +27,11 @@ from behavexplor.envs.making import (
     default_config,
     environment_id,
     has_own_config,
-    ignored_keys,
     is_highway,
     make_env,
     make_registered,
     make_vector_env,
+    warn_of_ignored_keys,
 )
 from behavexplor.errors import InputError, brief, described, place_of
 from behavexplor.execution.drawn_actions import DrawnActions
@@ -102,7 +102,7 @@ class Simulation:
         if is_theirs:  # a model in memory drives with the keys with which it was trained
             kept = () if isinstance(ads, str) else trained.keys() - given.keys()
             whole = {**declared, **trained, **given}
-            ignored = ignored_keys(env, {key: value for key, value in whole.items() if key not in kept})
+            ignored = warn_of_ignored_keys(env, {key: value for key, value in whole.items() if key not in kept})
             trained, given = ({k: v for k, v in one.items() if k not in ignored} for one in (trained, given))
         if is_theirs and hasattr(self.ads, "fitted"):
             given = _answer(self.ads, "fitted", "keys", {**default_config(env), **given})

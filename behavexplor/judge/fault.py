@@ -14,7 +14,7 @@ import numpy as np
 from behavexplor.data.conventions import STANDING_SPEED, is_rear_end, wrapped
 from behavexplor.data.geometry import box_corners, box_distance, project_on_polyline
 from behavexplor.data.trace import Trace
-from behavexplor.judge.lanes import had_crashed, has_entered_ring, is_told_by_lanes, lane_change
+from behavexplor.judge.lanes import had_crashed, has_entered_ring, has_lane_signals, lane_change
 from behavexplor.judge.specs import Collision, Destination
 
 Fault = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "npc_wreck", "other"]
@@ -30,7 +30,7 @@ _ENDED_BY_COLLISION: Final = frozenset({Collision().name, Destination().name})
 
 
 def is_at_fault(fault: str | None) -> bool:
-    """Return whether the driving system is at fault for a failure, by the verdict on its collision; None for others.
+    """Return whether the driving system is at fault for a failure, by the verdict on a collision (None: no collision).
 
     It is, unless the failure is a collision that an NPC caused, or one that triage found no way to avoid. A touched
     line, a missed destination and an error are always its own fault.
@@ -39,7 +39,7 @@ def is_at_fault(fault: str | None) -> bool:
 
 
 def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
-    """Return the violations of a trace that are the ego's own.
+    """Return the ego's own among the violations of a trace; `violated` are names of specs as in `Verdict`.
 
     A collision that another vehicle caused is left out. It also ended the drive, so a missed destination is left out
     with it.
@@ -50,7 +50,7 @@ def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
 
 
 def collision_fault(trace: Trace, violated: Sequence[str]) -> Fault | None:
-    """Return the verdict on the collision for which a trace counts as a failure; None if R1 is not violated first."""
+    """Return the verdict on the collision for which a trace is a failure; None if R1 is not first in `violated`."""
     return contact_fault(trace) if violated and violated[0] == Collision().name else None
 
 
@@ -59,11 +59,11 @@ def contact_fault(trace: Trace) -> Fault | None:
 
     The verdicts are checked in this order:
 
-    - `ego_cut_in`: a faster vehicle hit the ego from behind while the ego changed lanes or entered a roundabout, or
-      within `CUT_IN_TIME` after it. This is the ego's fault.
+    - `ego_cut_in`: a faster vehicle hit the ego from behind while it changed lanes or entered a roundabout, or at most
+      `CUT_IN_TIME` later. This is the ego's fault.
     - `npc_rear_end`: a faster vehicle with about the same heading hit the ego from behind.
     - `struck_stationary`: the ego was standing.
-    - `npc_wreck`: the vehicle had crashed before.
+    - `npc_wreck`: the vehicle that the ego touches had crashed before.
     - `other`: the trace alone cannot tell.
 
     `behavexplor.triage.blame` drives the scenario again to find out about the last two.
@@ -79,7 +79,7 @@ def contact_fault(trace: Trace) -> Fault | None:
         return None
     if _struck_from_behind(trace, npc):
         return "ego_cut_in" if _changed_lanes(trace) else "npc_rear_end"
-    if math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED:
+    if _is_standing(trace):
         return "struck_stationary"
     return "npc_wreck" if had_crashed(trace, len(trace.time) - 1, npc) else "other"
 
@@ -102,9 +102,11 @@ def touched_npc(trace: Trace) -> int | None:
 def _struck_from_behind(trace: Trace, npc: int) -> bool:
     """Return whether a faster vehicle with about the same heading touches the ego from behind.
 
-    In a highway-env environment, the frame before tells it, because the crash has already moved the vehicles.
+    In a highway-env environment, it is judged by the frame before the last one, because the crash has already moved the
+    vehicles.
     """
-    frame = max(len(trace.time) - 2, 0) if is_told_by_lanes(trace) else -1
+    last = len(trace.time) - 1
+    frame = max(last - 1, 0) if has_lane_signals(trace) else last
     heading = trace.heading[frame, 0]
     ahead = (trace.position[frame, npc] - trace.position[frame, 0]) @ (math.cos(heading), math.sin(heading))
     turned = wrapped(trace.heading[frame, npc] - heading)
@@ -112,15 +114,20 @@ def _struck_from_behind(trace: Trace, npc: int) -> bool:
     return bool(is_rear_end(ahead, turned, trace.size[0, 0], ego_speed, npc_speed))
 
 
+def _is_standing(trace: Trace) -> bool:
+    return math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED
+
+
 def _changed_lanes(trace: Trace) -> bool:
     """Return whether the ego moved across its route in the last `CUT_IN_TIME`.
 
     In a highway-env environment, it must have changed lanes or entered a roundabout, and must not stand.
     """
-    if is_told_by_lanes(trace):
-        is_standing = math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED
-        when = len(trace.time) - 1, CUT_IN_TIME
-        return not is_standing and (bool(lane_change(trace, *when)) or has_entered_ring(trace, *when))
+    if has_lane_signals(trace):
+        if _is_standing(trace):
+            return False
+        last = len(trace.time) - 1
+        return bool(lane_change(trace, last, CUT_IN_TIME)) or has_entered_ring(trace, last, CUT_IN_TIME)
     recent = trace.time >= trace.time[-1] - CUT_IN_TIME
     _, along = project_on_polyline(trace.position[recent, 0], trace.route)
     velocity = trace.velocity[recent, 0]

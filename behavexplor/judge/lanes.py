@@ -31,14 +31,14 @@ IN_LINE: Final = 2.0  # a vehicle on another road that is no farther to the side
 _PASSING: Final = frozenset({"turning-left", "turning-right", "entering-the-ring", "leaving-the-ring"})
 
 
-def is_told_by_lanes(trace: Trace) -> bool:
+def has_lane_signals(trace: Trace) -> bool:
     """Return whether a trace says what its vehicles' lanes were."""
     return WAY in trace.signals
 
 
 def has_other_names(trace: Trace) -> bool:
     """Return whether a trace of a highway-env environment is so old that it does not say what its lanes were."""
-    return bool(trace.signals) and not is_told_by_lanes(trace)
+    return bool(trace.signals) and not has_lane_signals(trace)
 
 
 def lane_change(trace: Trace, frame: int, seconds: float) -> str:

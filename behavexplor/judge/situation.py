@@ -11,7 +11,7 @@ from behavexplor.data.geometry import box_corners, project_on_polyline
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import recent
 from behavexplor.judge.fault import CUT_IN_TIME
-from behavexplor.judge.lanes import is_told_by_lanes, maneuver, relation
+from behavexplor.judge.lanes import has_lane_signals, maneuver, relation
 
 CREEPING: Final = 2.0  # vehicles slower than this creep [m/s]
 BRAKING: Final = 2.0  # least mean deceleration of a braking ego over the last `BRAKING_TIME` [m/s2]
@@ -31,7 +31,7 @@ def maneuver_of(trace: Trace, frame: int) -> str:
 
     In a highway-env environment, the lanes tell it; see `behavexplor.judge.lanes.maneuver`.
     """
-    if is_told_by_lanes(trace):
+    if has_lane_signals(trace):
         return maneuver(trace, frame, CUT_IN_TIME)
     frames = recent(trace, frame, CUT_IN_TIME)
     station, along = project_on_polyline(trace.position[frames, 0], trace.route)
@@ -66,7 +66,7 @@ def bearing_of(trace: Trace, frame: int, npc: int) -> str:
 
     In a highway-env environment, the lanes tell it; see `behavexplor.judge.lanes.relation`.
     """
-    if is_told_by_lanes(trace):
+    if has_lane_signals(trace):
         return relation(trace, frame, npc)
     now = wrapped(trace.heading[frame, npc] - trace.heading[frame, 0])
     before = heading_before(trace, frame, npc)

@@ -49,7 +49,7 @@ class Behaviors:
 
 
 def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
-    """Abstract all traces, at least one, with clusters fitted to them; they are given by the numbers of executions."""
+    """Abstract some traces, at least one, by their executions' numbers, with clusters fitted to all of them."""
     miner = BehaviorMiner(MinerOptions(clusters=len(LETTERS)))
     described = [miner.describe(trace) for trace in traces.values()]
     for behavior in described:
@@ -57,26 +57,28 @@ def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
     miner.fit()
     found = [miner.abstract(behavior) for behavior in described]
     distances = np.stack([miner.distances(labels) for labels in found])
-    order, states = _states(np.concatenate([behavior.merged for behavior in described]), np.concatenate(found))
-    labels = {number: order[old] for number, old in zip(traces, found, strict=True)}
-    places = {number: (float(x), float(y)) for number, (x, y) in zip(traces, scaled(distances), strict=True)}
+    ranks, states = _states(np.concatenate([behavior.merged for behavior in described]), np.concatenate(found))
+    labels = {number: ranks[old] for number, old in zip(traces, found, strict=True)}
+    places = {number: (float(x), float(y)) for number, (x, y) in zip(traces, classical_scaling(distances), strict=True)}
     return Behaviors(states, labels, places)
 
 
 def _states(merged: Floats, labels: Labels) -> tuple[Labels, tuple[State, ...]]:
     """Return the rank of each cluster by speed, and the states; clusters without any window come last."""
     columns = [ATTRIBUTES.index(name) * len(STATISTICS) + STATISTICS.index("mean") for name in _SHOWN]
-    means, deviations = np.full((len(LETTERS), len(columns)), np.inf), np.zeros(len(LETTERS))
+    means = np.full((len(LETTERS), len(columns)), np.inf)
+    deviations = np.zeros(len(LETTERS))
     counts = np.bincount(labels, minlength=len(LETTERS))
     for label in np.flatnonzero(counts):
         here = merged[labels == label][:, columns]
-        means[label], deviations[label] = here.mean(0), here[:, 0].std()
+        means[label] = here.mean(axis=0)
+        deviations[label] = here[:, 0].std()
     slowest = np.argsort(means[:, 0], kind="stable")
-    order = np.empty(len(LETTERS), dtype=np.uint8)
-    order[slowest] = np.arange(len(LETTERS))
+    ranks = np.empty(len(LETTERS), dtype=np.uint8)
+    ranks[slowest] = np.arange(len(LETTERS))
     states = tuple(
         State(
-            letter=LETTERS[order[label]],
+            letter=LETTERS[ranks[label]],
             share=float(counts[label] / len(labels)),
             speed=float(means[label, 0]),
             deviation=float(deviations[label]),
@@ -86,7 +88,7 @@ def _states(merged: Floats, labels: Labels) -> tuple[Labels, tuple[State, ...]]:
         for label in slowest
         if counts[label]
     )
-    return order, states
+    return ranks, states
 
 
 def _plain(value: float) -> float:
@@ -94,10 +96,10 @@ def _plain(value: float) -> float:
     return round(float(value), 2) + 0.0
 
 
-def scaled(distances: Floats) -> Floats:
-    """Lay points out in the plane, (n, 2), at about given distances (n, n), by classical multidimensional scaling.
+def classical_scaling(distances: Floats) -> Floats:
+    """Lay n points out in the plane by classical multidimensional scaling, at about the given distances, shape (n, n).
 
-    Of the mirror images, it is the one whose farthest point on each axis is on the positive side.
+    The result has the shape (n, 2). Of the mirror images, each axis has its farthest point on the positive side.
     """
     # scikit-learn's ClassicalMDS gives NaN where an eigenvalue is negative, as for points on a line.
     squared = distances**2
@@ -105,7 +107,8 @@ def scaled(distances: Floats) -> Floats:
     with threadpool_limits(limits=1):  # the last bits must not depend on the number of cores
         values, vectors = np.linalg.eigh(-centered / 2)
     points = np.zeros((len(distances), 2))
-    for axis, index in enumerate(range(len(values) - 1, max(len(values) - 3, -1), -1)):
+    largest = np.arange(len(values))[::-1][:2]  # `eigh` gives them last
+    for axis, index in enumerate(largest):
         column = vectors[:, index] * np.sqrt(max(values[index], 0.0))
         points[:, axis] = column * (1.0 if column[np.abs(column).argmax()] >= 0 else -1.0)
     return points

@@ -12,7 +12,7 @@ import pytest
 from behavexplor.campaign.store import Store
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.errors import InputError
-from behavexplor.report.behavior_map import LETTERS, behaviors, evenly, scaled
+from behavexplor.report.behavior_map import LETTERS, behaviors, classical_scaling, evenly
 from behavexplor.report.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Series, chart, ticks
 from behavexplor.report.gallery import PASSED, cards, replay_values
 from behavexplor.report.reading import read_run
@@ -74,15 +74,15 @@ def test_dots_are_drawn_where_there_are_values_and_a_chart_without_any_is_none()
 def test_a_map_keeps_distances_that_fit_into_the_plane():
     points = np.random.default_rng(3).normal(size=(40, 2)) * (3.0, 1.0)
     distances = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
-    shown = scaled(distances)
+    shown = classical_scaling(distances)
     assert np.allclose(np.hypot(*(shown[:, None] - shown[None]).transpose(2, 0, 1)), distances)
-    assert np.array_equal(shown, scaled(distances))
+    assert np.array_equal(shown, classical_scaling(distances))
     assert np.ptp(shown[:, 0]) > np.ptp(shown[:, 1])
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_map_of_few_is_a_map(count):
-    assert scaled(1.0 - np.eye(count)).shape == (count, 2)
+    assert classical_scaling(1.0 - np.eye(count)).shape == (count, 2)
 
 
 def test_behaviors_cover_each_trace_and_are_named_by_speed(executions, found):

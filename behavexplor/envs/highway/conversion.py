@@ -1,4 +1,4 @@
-"""Copies of a slot's state: from an environment of highway-env into the slot, and from the slot for a comparison."""
+"""Copy the state of a highway-env environment into a slot; and copy a slot's state, to compare it with another's."""
 
 import math
 from typing import Any, NamedTuple
@@ -33,8 +33,8 @@ _NOT_COMPARED = frozenset({"number", "n_numbered", "route_position", "route_leng
 _PRECISION = 1e-9  # numpy and the C library may differ in the last bit
 
 
-def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
-    """Copy the state of an environment without wrappers, which has the road and rules of `world`, into slot b.
+def load_state(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
+    """Copy the present state of an environment into slot b. It has no wrappers, and the road and rules of `world`.
 
     Raises:
         InputError: if the environment has vehicles that the engine does not know or too many for the slot, a vehicle
@@ -57,7 +57,8 @@ def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
     episode.n_side_lanes = _n_side_lanes(env)
     lanes = {index: lane for lane, index in enumerate(lane_indexes(road.network))}
     roads = road_numbers(road.network)
-    kinds = {cls: kind_of(cls) for cls in {type(thing) for thing in things}}  # once per class: it looks through methods
+    classes = {type(thing) for thing in things}
+    kinds = {cls: kind_of(cls) for cls in classes}  # once for each class, because `kind_of` looks through its methods
     for i, thing in enumerate(things):
         kind = kinds[type(thing)]
         slots.traits[b, i] = traits_of(thing, kind)
@@ -95,7 +96,8 @@ def _load_commands(vehicle: Vehicle, thing: Any) -> None:
 def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], speeds: Floats) -> None:
     if not np.array_equal(getattr(thing, "target_speeds", speeds), speeds):
         raise InputError(
-            f"A vehicle has the target speeds {thing.target_speeds}, but those of the actions are {speeds}"
+            f"A vehicle has the target speeds {thing.target_speeds}, but those of the actions are {speeds}; give all "
+            f"vehicles the same target_speeds"
         )
     vehicle.target_lane = lanes[tuple(thing.target_lane_index)]
     vehicle.target_speed = thing.target_speed
@@ -107,11 +109,12 @@ def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], spe
 def _load_route(
     vehicle: Vehicle, steps: Records, route: list[LaneIndex] | None, roads: dict[tuple[str, str], int]
 ) -> None:
+    lanes = route or []
     vehicle.route_position = 0
     vehicle.route_length = NO_ROUTE if route is None else len(route)
-    if len(route or []) > len(steps):
-        raise InputError(f"A route has {len(route or [])} steps, but a slot holds {len(steps)}; make longer ones")
-    for step, (origin, target, number) in zip(steps, route or [], strict=False):
+    if len(lanes) > len(steps):
+        raise InputError(f"A route has {len(lanes)} steps, but a slot holds {len(steps)}; make longer ones")
+    for step, (origin, target, number) in zip(steps, lanes, strict=False):  # a slot has room for more
         if (origin, target) not in roads:
             raise InputError(f"A route has the road {(origin, target)}, which the road network does not have")
         step.road = roads[origin, target]
@@ -160,7 +163,7 @@ def are_alike(one: SlotState, other: SlotState) -> bool:
     if one.vehicles.shape != other.vehicles.shape:
         return False
     pairs = ((one.episode, other.episode), (one.vehicles, other.vehicles), (one.traits, other.traits))
-    return all(_are_close(*pair) for pair in pairs) and _have_same_routes(one, other)
+    return all(_are_close(a, b) for a, b in pairs) and _have_same_routes(one, other)
 
 
 def _are_close(one: Records, other: Records) -> bool:

@@ -26,7 +26,7 @@ from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, give
 from behavexplor.envs.engine.state import Slots, make_slots
 from behavexplor.envs.engine.world import OTHER, make_world
 from behavexplor.envs.highway.config_check import DRAWING
-from behavexplor.envs.highway.conversion import load
+from behavexplor.envs.highway.conversion import load_state
 from behavexplor.envs.highway.episodes import N_FLAGS, N_NUMBERS, Engine, StepResults
 from behavexplor.envs.tasks.highway_tasks import KINDS, goal_lanes
 from behavexplor.envs.tasks.task import Task, make_starts, make_task, no_starts
@@ -62,7 +62,7 @@ def make_engine(
         world.templates[OTHER].checks_collisions = False
     n_vehicles = len(env.road.vehicles)
     example = make_slots(1, n_vehicles + len(env.road.objects), len(world.network.roads) + 1)
-    load(env, world, example, 0)
+    load_state(env, world, example, 0)
     makes_starts = not places_own or kind.has_newcomers
     starts = make_starts(env, kind, example.vehicles[0, n_vehicles:].copy()) if makes_starts else no_starts()
     is_grid = isinstance(env.observation_type, TimeToCollisionObservation)
@@ -117,7 +117,7 @@ def copy_start(env: AbstractEnv, engine: Engine, slots: Slots, b: int, most: int
             f"A start of {type(env).__name__} has {count} vehicles and obstacles, but there is room for {most}; make "
             "the vector environment with a config for more"
         )
-    load(env, engine.world, slots, b)
+    load_state(env, engine.world, slots, b)
     generator: object = env.np_random
     if type(generator) is np.random.Generator and isinstance(generator.bit_generator, np.random.PCG64):
         engine.words[b, :N_WORDS] = generator_words(generator)

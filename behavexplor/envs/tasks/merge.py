@@ -1,11 +1,11 @@
 """highway-env's merges: make room for a vehicle that comes from a ramp (`MergeEnv`, `MergeGenericEnv`).
 
-The formulas of the terms of its reward are in `reward_terms.py`.
+The formulas of the terms of their reward are in `reward_terms.py`.
 """
 
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 from highway_env.envs.merge_env import MergeEnv, MergeGenericEnv
 from highway_env.road.road import LaneIndex
@@ -19,6 +19,14 @@ from behavexplor.envs.tasks.task import Config, Task, TaskKind, check_discrete
 from behavexplor.envs.values import POSITIVE
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_inner
+
+_BEFORE_END: Final = (  # keys of the lengths before the end of the ramp
+    "before_merge_length",
+    "converge_merge_length",
+    "parallel_merge_length",
+)
+_TRIES: Final = 10  # to place a vehicle
+_FREE: Final = 15.0  # least distance between the centers of vehicles on a lane [m]
 
 KIND = TaskKind(
     env_classes=(MergeEnv,),
@@ -35,9 +43,10 @@ KIND = TaskKind(
     best=("high_speed_reward", "right_lane_reward"),
     is_normalized=True,
     truncates=False,
-    end_x=lambda _: 370.0,
-    is_goal=lambda index, _: index == ("b", "c", 2),  # the merging lane
-    start_lanes=lambda _: (("a", "b", 0), ("a", "b", 1), ("j", "k", 0)),
+    end_x=lambda _: 370.0,  # x beyond which the merge ends [m]
+    # the merging lane if there are two others; highway-env means this lane with any number
+    is_goal=lambda index, _: index == ("b", "c", 2),
+    start_lanes=lambda _: (("a", "b", 0), ("a", "b", 1), ("j", "k", 0)),  # the two of the highway, then the ramp
     n_placed=5,
     check=check_discrete,
 )
@@ -46,34 +55,36 @@ KIND = TaskKind(
 @kernel_inner
 def start(world: World, task: Task, scene: Scene, words: Words) -> None:
     """Place the vehicles: `MergeEnv._make_vehicles`."""
-    lanes, starts = world.network.lanes, task.starts
-    x, y = lane_point(lanes[starts.lanes[1]], 30.0)
+    lanes = world.network.lanes
+    starts = task.starts.lanes
+    x, y = lane_point(lanes[starts[1]], 30.0)
     place_vehicle(world, scene, AS_EGO, x, y, 0.0, 30.0)
     for station, speed in ((90.0, 29.0), (70.0, 31.0), (5.0, 31.5)):
-        lane = starts.lanes[integer(words, TWO)]
+        lane = starts[integer(words, TWO)]
         x, y = lane_point(lanes[lane], station + uniform(words, -5.0, 5.0))
         place_vehicle(world, scene, AS_OTHER, x, y, 0.0, speed + uniform(words, -1.0, 1.0))
-    x, y = lane_point(lanes[starts.lanes[2]], 110.0)
+    x, y = lane_point(lanes[starts[2]], 110.0)
     i = place_vehicle(world, scene, AS_OTHER, x, y, 0.0, 20.0)
     scene.vehicles[i].target_speed = 30.0
 
 
-_BEFORE_END = ("before_merge_length", "converge_merge_length", "parallel_merge_length")
-
-
 def _start_lanes(config: Config) -> tuple[LaneIndex, ...]:
-    return *(("a", "b", number) for number in range(config["lanes_count"])), ("j", "k", 0)
+    lanes = tuple(("a", "b", number) for number in range(config["lanes_count"]))
+    return *lanes, ("j", "k", 0)
 
 
 def _put_starts(row: Any, config: Config) -> None:
-    row.n_others = config["vehicles_count"] + 1
+    row.n_others = config["vehicles_count"] + 1  # and the one on the ramp
     row.spacing = sum(config[key] for key in _BEFORE_END)  # the stations over which vehicles are spread
 
 
 def _check(config: Config) -> None:
     KIND.check(config)
     if config["after_merge_length"] < 90:
-        raise InputError(f"after_merge_length: {config['after_merge_length']} must be at least 90")
+        raise InputError(
+            f"after_merge_length: {config['after_merge_length']} must be at least 90 m, because the "
+            "episode ends 90 m before the end of the road"
+        )
 
 
 GENERIC_KIND = replace(  # with as many lanes and vehicles as the config says
@@ -91,12 +102,14 @@ GENERIC_KIND = replace(  # with as many lanes and vehicles as the config says
 @kernel_inner
 def start_generic(world: World, task: Task, scene: Scene, words: Words) -> None:
     """Place the vehicles: `MergeGenericEnv._make_vehicles`."""
-    lanes, starts, rules = world.network.lanes, task.starts.lanes, task.rules[0]
+    lanes = world.network.lanes
+    starts = task.starts.lanes
+    rules = task.rules[0]
     n_lanes = len(starts) - 1
     x, y = lane_point(lanes[starts[n_lanes - 1]], 30.0)
     place_vehicle(world, scene, AS_EGO, x, y, 0.0, 30.0)
-    for _ in range(rules.n_others - 1):
-        for _ in range(10):
+    for _other in range(rules.n_others - 1):  # but for the one on the ramp
+        for _try in range(_TRIES):
             lane = starts[integer(words, n_lanes)]
             x, y = lane_point(lanes[lane], uniform(words, 0.0, rules.spacing))
             if _is_free(scene, x, y):
@@ -111,6 +124,6 @@ def start_generic(world: World, task: Task, scene: Scene, words: Words) -> None:
 def _is_free(scene: Scene, x: float, y: float) -> bool:
     """Return whether no vehicle is within 15 m on the lane at y, which begins at x = 0."""
     for j in range(scene.episode.n_vehicles):
-        if scene.vehicles[j].y == y and abs(x - scene.vehicles[j].x) <= 15.0:
+        if scene.vehicles[j].y == y and abs(x - scene.vehicles[j].x) <= _FREE:
             return False
     return True

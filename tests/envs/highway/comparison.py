@@ -22,7 +22,7 @@ from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.frames import give_command, run_frames
 from behavexplor.envs.engine.state import EPISODE, VEHICLE, Scene, make_scratch, make_slots
 from behavexplor.envs.engine.world import make_world
-from behavexplor.envs.highway.conversion import load
+from behavexplor.envs.highway.conversion import load_state
 from behavexplor.envs.tasks.highway_tasks import goal_lanes
 from behavexplor.envs.tasks.intersection import clear_vehicles
 from behavexplor.jit import kernel_in_place
@@ -83,7 +83,7 @@ def compare(env_id, config=None, *, episodes, first_seed=0, decisions=60):
     for seed in range(first_seed, first_seed + episodes):
         env.reset(seed=seed)
         env.action_space.seed(seed)
-        load(env, world, slots, 0)
+        load_state(env, world, slots, 0)
         drive(env, world, slots, scratch, result, decisions)
         result.episodes += 1
         result.crashes += int(env.vehicle.crashed)
@@ -104,7 +104,7 @@ def drive(env, world, slots, scratch, result, decisions):
         step(world, slots, scratch, both, np.array([True, False]), make_log(2, 0, 0))
         if clears:
             clear_first(world, slots, scratch)
-        load(env, world, slots, 1)
+        load_state(env, world, slots, 1)
         if clears:
             copy_spawned(slots)
         note_differences(slots, result)

@@ -12,7 +12,7 @@ from behavexplor.envs.engine.lane_network import lane_indexes, make_network, roa
 from behavexplor.envs.engine.state import IDM, LINEAR, MDP, OBSTACLE, PLAIN, make_slots
 from behavexplor.envs.engine.vehicle_parameters import kind_of
 from behavexplor.envs.engine.world import EGO, OTHER
-from behavexplor.envs.highway.conversion import load
+from behavexplor.envs.highway.conversion import load_state
 from behavexplor.errors import InputError
 from tests.envs.highway.comparison import N_PLACES, N_STEPS, make, world_of
 
@@ -27,7 +27,7 @@ def test_the_impact_of_a_collision_and_yielding_are_copied():
     hit.impact, hit.crashed = np.array([0.5, -0.25]), True
     yielding.is_yielding, yielding.yield_timer, yielding.color = True, 0, None
     slots = make_slots(1, N_PLACES, N_STEPS)
-    load(env, world_of(env), slots, 0)
+    load_state(env, world_of(env), slots, 0)
     hit, yielding = slots.vehicles[0, :2]
     assert (hit.has_impact, hit.impact_x, hit.impact_y, hit.crashed) == (True, 0.5, -0.25, True)
     assert (yielding.is_yielding, yielding.has_impact, yielding.crashed) == (True, False, False)
@@ -172,12 +172,12 @@ def test_what_does_not_fit_into_a_slot_is_refused():
     env = make("roundabout-v0")
     world = world_of(env)
     with pytest.raises(InputError, match="5 vehicles and obstacles, but a slot holds 4"):
-        load(env, world, make_slots(1, 4, N_STEPS), 0)
+        load_state(env, world, make_slots(1, 4, N_STEPS), 0)
     with pytest.raises(InputError, match="a slot holds 2; make longer"):
-        load(env, world, make_slots(1, N_PLACES, 2), 0)
+        load_state(env, world, make_slots(1, N_PLACES, 2), 0)
     env.road.vehicles[1].route[0] = ("nowhere", "se", 0)
     with pytest.raises(InputError, match="nowhere"):
-        load(env, world, make_slots(1, N_PLACES, N_STEPS), 0)
+        load_state(env, world, make_slots(1, N_PLACES, N_STEPS), 0)
 
 
 def test_landmarks_and_ghosts_are_refused():
@@ -185,11 +185,11 @@ def test_landmarks_and_ghosts_are_refused():
     world, slots = world_of(env), make_slots(1, N_PLACES, N_STEPS)
     env.road.vehicles[1].collidable = False
     with pytest.raises(InputError, match="collidable"):
-        load(env, world, slots, 0)
+        load_state(env, world, slots, 0)
     env.reset()
     env.road.objects.append(Landmark(env.road, [0, 0]))
     with pytest.raises(InputError, match="Landmark"):
-        load(env, world, slots, 0)
+        load_state(env, world, slots, 0)
 
 
 def test_actions_of_another_type_are_refused_by_name():

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.state import make_scratch, make_slots
-from behavexplor.envs.highway.conversion import load
+from behavexplor.envs.highway.conversion import load_state
 from tests.envs.highway.comparison import IDS, N_PLACES, N_STEPS, compare, compare_in_child, make, many, step, world_of
 
 SHORT = {"highway-v0": {"decisions": 2}}  # its decisions take ten times as long in highway-env
@@ -116,9 +116,9 @@ def test_a_slot_does_not_depend_on_the_others():
     alone, many = make_slots(1, N_PLACES, N_STEPS), make_slots(4, N_PLACES, N_STEPS)
     for b in range(4):
         env.reset(seed=b)
-        load(env, world, many, b)
+        load_state(env, world, many, b)
     env.reset(seed=2)
-    load(env, world, alone, 0)
+    load_state(env, world, alone, 0)
     maneuvers = np.array([[3.0, 0.0], [0.0, 0.0], [2.0, 0.0], [4.0, 0.0]])
     for _ in range(5):
         step(world, alone, scratch, maneuvers[2:3], np.array([True]), make_log(1, 0, 0))

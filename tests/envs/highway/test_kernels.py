@@ -13,7 +13,7 @@ from behavexplor.envs.engine.lane_geometry import SLACK, closest_lane, is_farthe
 from behavexplor.envs.engine.lane_network import ALL_NEAR, lane_indexes, make_network
 from behavexplor.envs.engine.reactive_traffic import UNKNOWN, neighbors
 from behavexplor.envs.engine.state import Scene, make_scratch, make_slots
-from behavexplor.envs.highway.conversion import load
+from behavexplor.envs.highway.conversion import load_state
 from behavexplor.envs.tasks.intersection import clear_vehicles
 from behavexplor.envs.tasks.reward_terms import plus
 from behavexplor.envs.tasks.task import INTEGER, kind_of_number
@@ -151,7 +151,7 @@ def test_neighbors_are_highway_env_s(env_id, connected):
             lane = env.road.network.get_lane(indexes[rng.integers(len(indexes))])
             vehicle.position = lane.position(rng.uniform(0, lane.length), rng.normal(0, 1))
             vehicle.on_state_update()
-        load(env, world, slots, 0)
+        load_state(env, world, slots, 0)
         scratch.n_on_lane[:] = UNKNOWN
         things = [*env.road.vehicles, *env.road.objects]
         for i, vehicle in enumerate(env.road.vehicles):
@@ -174,11 +174,11 @@ def test_the_ego_and_the_rest_keep_their_order_when_vehicles_leave():
         vehicle.heading = leaving.heading
         vehicle.on_state_update()
     env.road.vehicles[1].route = None
-    load(env, world, slots, 0)
+    load_state(env, world, slots, 0)
     clear(world.network, slots, make_scratch(len(world.network.lanes), N_PLACES))
     expected = make_slots(1, N_PLACES, N_STEPS)
     env._clear_vehicles()
-    load(env, world, expected, 0)
+    load_state(env, world, expected, 0)
     n = len(env.road.vehicles)
     assert n == slots.episodes[0].n_vehicles
     assert slots.vehicles[0, :n]["number"].tolist() == [3, *range(4, n + 3)]
