@@ -6,7 +6,7 @@ import re
 import sys
 import warnings
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from functools import cache
 from importlib.metadata import entry_points
 from typing import Any, Final
@@ -90,7 +90,8 @@ def warn_of_ignored_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]
     """
     from behavexplor.envs.env_config import check_space_keys  # noqa: PLC0415 - slow to import
 
-    made: Any = make_registered(name, {}).unwrapped
+    with closing(make_registered(name, {})) as env:
+        made: Any = env.unwrapped
     check_space_keys(made, config)
     for key, value in config.items():
         default = made.config.get(key)
@@ -106,8 +107,8 @@ def warn_of_ignored_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]
 
 def default_config(name: str) -> dict[str, Any]:
     """Return the whole configuration of an environment of highway-env as it is registered; empty for any other."""
-    made: Any = make_registered(name, {}).unwrapped
-    config: dict[str, Any] = getattr(made, "config", {})
+    with closing(make_registered(name, {})) as made:
+        config: dict[str, Any] = getattr(made.unwrapped, "config", {})
     return config
 
 

@@ -1,6 +1,6 @@
 """The behaviors of a run: abstract states over time, and a map on which similar behaviors are near each other."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Final
@@ -48,7 +48,7 @@ class Behaviors:
         return ", ".join(f"{letter} {count * TIME_STEP:.1f} s" for letter, count in self.stretches(number))
 
 
-def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
+def find_behaviors(traces: Mapping[int, Trace]) -> Behaviors:
     """Abstract some traces, at least one, by their executions' numbers, with clusters fitted to all of them."""
     miner = BehaviorMiner(MinerOptions(clusters=len(LETTERS)))
     described = [miner.describe(trace) for trace in traces.values()]
@@ -112,10 +112,3 @@ def classical_scaling(distances: Floats) -> Floats:
         column = vectors[:, index] * np.sqrt(max(values[index], 0.0))
         points[:, axis] = column * (1.0 if column[np.abs(column).argmax()] >= 0 else -1.0)
     return points
-
-
-def evenly(numbers: Sequence[int], count: int) -> list[int]:
-    """Return at most `count` of the numbers, evenly spread."""
-    if len(numbers) <= count:
-        return list(numbers)
-    return [numbers[i] for i in np.linspace(0, len(numbers) - 1, count).astype(int)]

@@ -22,7 +22,7 @@ from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.judge.specs import SPECS
 from behavexplor.repair.pairs import Pairs, side_by_side
-from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
+from behavexplor.report.behavior_map import LETTERS, Behaviors, find_behaviors
 from behavexplor.report.charts import Chart, Series, StagePart, chart, stage_parts
 from behavexplor.report.gallery import MAX_FRAMES, PASSED, Card, cards, minimal_name, replay_values
 from behavexplor.report.marks import type_color
@@ -154,7 +154,7 @@ def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first:
     wanted = list(dict.fromkeys([*wanted_first, *sorted(replayed), *(name for name, _ in strips), *compared]))
     traces, records = _looked_at(run, wanted, replayed)
     strips = [(name, class_id) for name, class_id in strips if name in traces]
-    found = behaviors(traces)
+    found = find_behaviors(traces)
     replays = _replays(run, traces, records, found) | _minimal_replays(run, gallery)
     shown = [replace(card, replays=tuple(name for name in card.replays if str(name) in replays)) for card in gallery]
     shape = known_road(run.config.env, run.folder)
@@ -197,6 +197,13 @@ def _looked_at(
             if number in replayed and _fits(trace):
                 records[number] = execution.record
     return dict(sorted(traces.items())), dict(sorted(records.items()))
+
+
+def evenly(numbers: Sequence[int], count: int) -> list[int]:
+    """Return at most `count` of the numbers, evenly spread."""
+    if len(numbers) <= count:
+        return list(numbers)
+    return [numbers[i] for i in np.linspace(0, len(numbers) - 1, count).astype(int)]
 
 
 def _fits(trace: Trace) -> bool:

@@ -12,11 +12,12 @@ import pytest
 from behavexplor.campaign.store import Store
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.errors import InputError
-from behavexplor.report.behavior_map import LETTERS, behaviors, classical_scaling, evenly
+from behavexplor.report.behavior_map import LETTERS, classical_scaling, find_behaviors
 from behavexplor.report.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Series, chart, ticks
 from behavexplor.report.gallery import PASSED, cards, replay_values
 from behavexplor.report.reading import read_run
 from behavexplor.report.road_shapes import known_road, road_values
+from behavexplor.report.run_page import evenly
 
 NO_RUN = Path("no-such-run")
 
@@ -29,7 +30,7 @@ def executions(run):
 
 @pytest.fixture(scope="module")
 def found(executions):
-    return behaviors({execution.id: execution.load_trace() for execution in executions})
+    return find_behaviors({execution.id: execution.load_trace() for execution in executions})
 
 
 @pytest.mark.parametrize(
