@@ -183,7 +183,7 @@ def tested_classes(found: RunSummary, run: Path, checks: Checks) -> list[Tested]
 _WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."
 _DRIVER = settings(
     CampaignConfig,
-    "env ads activation env_config traffic stochastic priority trust unconfined",
+    "env ads activation env_config traffic stochastic trust unconfined",
     box="driver",
     env=(f"the policy's own, or {CampaignConfig.env}", ""),
 )

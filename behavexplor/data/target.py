@@ -36,7 +36,6 @@ class Conditions:
         time_limit: Time limit of one execution [s]. An ADS that takes longer counts as a hang. It applies to worker
             processes only.
         memory_limit: Memory limit of one worker process [GiB], where the system can set it.
-        priority: How much of the processor workers leave to other programs, as `nice`: 0 (equal) to 19 (what is left).
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/highway-policies.md).
         confirm: Repeat the first failures of each class in highway-env's own environments with highway-env itself.
         stochastic: Draw the actions of a stochastic policy as in its training, reproducibly, instead of deciding
@@ -50,7 +49,6 @@ class Conditions:
     unconfined: bool = False
     time_limit: float = 300.0
     memory_limit: float = 8.0
-    priority: int = 0
     traffic: Traffic = DEFAULT
     confirm: bool = True
     stochastic: bool = False
@@ -64,8 +62,6 @@ class Conditions:
                 f"memory_limit {self.memory_limit} must be at least {LEAST_MEMORY} GiB, which workers need, and less "
                 f"than {MOST:g}"
             )
-        if not 0 <= self.priority <= 19:
-            raise InputError(f"priority {self.priority} must be a whole number from 0 to 19")
         check_digests(self.trust)
 
 

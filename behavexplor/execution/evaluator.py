@@ -2,7 +2,6 @@
 
 import json
 import logging
-import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -67,8 +66,7 @@ class Evaluator(Service):
             compile_kernels(self.target.env)
 
     def confine(self) -> None:
-        """Give this worker process its priority; confine it if the ADS is third-party code, see `confinement`."""
-        os.nice(self.target.priority)
+        """Confine this process if the ADS is third-party code; see `behavexplor.execution.confinement`."""
         if self.is_confined:
             keep_code_in(Path(tempfile.mkdtemp()))
             self._unprevented = confine()

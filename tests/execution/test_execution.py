@@ -1,6 +1,5 @@
 """From a scenario to its trace: rollout, simulation, executors."""
 
-import os
 import re
 
 import gymnasium
@@ -211,23 +210,3 @@ def test_an_ads_that_exits_is_an_error_of_its_execution():
     future = InProcessExecutor(begun("tests.drivers:Leaver")).submit(EXECUTE, SCENARIOS[0].to_json().encode())
     with pytest.raises(ADSError, match=r"called sys.exit\(0\)"):
         future.result()
-
-
-class Nice(Cruiser):
-    """Fails with the priority of its process as the message."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        raise ValueError(f"nice {os.nice(0)}")
-
-
-@pytest.mark.parametrize("priority", [0, 7])
-def test_workers_have_the_priority_of_the_target(priority):
-    target = Target("intersection-straight", "tests.execution.test_execution:Nice", priority=priority)
-    with start_executor(target, 1) as workers, pytest.raises(ADSError, match=f"nice {os.nice(0) + priority}"):
-        workers.submit(EXECUTE, SCENARIOS[0].to_json().encode()).result()
-
-
-@pytest.mark.parametrize("priority", [-1, 20])
-def test_a_priority_that_no_system_has_is_refused(priority):
-    with pytest.raises(InputError, match="from 0 to 19"):
-        Target(priority=priority)
