@@ -50,7 +50,6 @@ def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec])
         end=trace.end,
         error=failure,
         duration=trace.duration,
-        decisions=len(trace.actions),
         violated=verdict.violated,
         violation_class=_class_id(trace, verdict, failure),
         fault=collision_fault(trace, verdict.violated),

@@ -60,7 +60,6 @@ class Result:
         error: "kind" and "message" of the ADS's own failure, see `behavexplor.execution.executor.ADSError`; None if it
             drove.
         duration: simulated time [s].
-        decisions: number of actions that the ADS has chosen.
         violated: names of the violated specs, the most severe first; ("error",) if the ADS itself failed.
         violation_class: class of the violation, see `behavexplor.judge.classes`; None for a passed execution.
         fault: fault for a collision, see `behavexplor.judge.fault`; None without one.
@@ -71,7 +70,6 @@ class Result:
     end: str
     error: dict[str, str] | None = None
     duration: float | None = None
-    decisions: int | None = None
     violated: tuple[str, ...]
     violation_class: Annotated[str | None, Field(alias="class")] = None
     fault: str | None = None

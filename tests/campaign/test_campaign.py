@@ -403,10 +403,3 @@ def test_a_time_budget_ends(tmp_path):
 def test_options_reach_the_method(tmp_path):
     with pytest.raises(InputError, match="'thet_c'"):
         run(tmp_path / "a", options={"thet_c": 0.3})
-
-
-def test_a_record_says_how_many_decisions_there_were(tmp_path):
-    run(tmp_path / "a")
-    with closing(Store.read(tmp_path / "a")) as store:
-        for execution in store.executions():
-            assert execution.record.decisions == len(execution.load_trace().actions)
