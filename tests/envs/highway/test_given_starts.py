@@ -60,6 +60,21 @@ def test_slots_without_a_start_begin_as_ever():
     np.testing.assert_allclose(shown[1], expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("see_behind", [False, True])
+def test_the_edges_of_what_is_observed_are_highway_env_s(see_behind):
+    """At the greatest distance, two lengths behind, and as far ahead as behind."""
+    gaps = [200.0, -200.0, 199.5, -10.0, -9.5, 5.0, -5.0]
+    config = {"vehicles_count": len(gaps), "observation": {"type": "Kinematics", "vehicles_count": 8}}
+    config["observation"] |= {"see_behind": see_behind, "normalize": False}
+    env, given = HighwayVectorEnv(HighwayEnvFast, 1, config), HighwayEnvFast(config)
+    for gap, vehicle in zip([0.0, *gaps], given.road.vehicles, strict=True):
+        vehicle.position, vehicle.heading = np.array([400.0 + gap, 4.0]), 0.0
+        vehicle.on_state_update()
+    shown, _ = env.reset(options={"starts": {0: given}})
+    np.testing.assert_allclose(shown[0], given.observation_type.observe(), atol=1e-6)
+    assert np.count_nonzero(shown[0, :, 0]) == (6 if see_behind else 5)
+
+
 def test_given_draws_end_with_the_episode():
     challenger, place_of_ego = [0.5, 0.1, 0.1, 0.0, 0.0, 0.5], [0.0]
     never = [0.99, 0.1, 0.1, 0.0, 0.0, 0.0]  # above the probability
