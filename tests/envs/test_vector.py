@@ -337,6 +337,10 @@ def test_one_seed_for_each():
     assert infos["scenario"][0] == infos["scenario"][1]
     _, again = env.reset(seed=4)
     assert again["scenario"][1] == infos["scenario"][0]
+    assert env.np_random.random() == np.random.default_rng(4).random()
+    _, infos = env.reset(seed=[None, 0])
+    assert infos["scenario"][1] == env.logical.sample(np.random.default_rng(0))
+    assert infos["scenario"][0] != again["scenario"][0]
 
 
 class OwnRule(LaneFollowEnv):

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from highway_env.road.lane import StraightLane
 from highway_env.road.road import RoadNetwork
 
 from behavexplor.data import box_kernels
@@ -13,7 +14,8 @@ from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_
 from behavexplor.envs.engine import lane_keeping
 from behavexplor.envs.engine.contact import touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates, lane_heading, lane_point
-from behavexplor.envs.engine.state import VEHICLE
+from behavexplor.envs.engine.lane_network import lane_indexes, make_network
+from behavexplor.envs.engine.state import NO_ROUTE, ROUTE_STEP, VEHICLE
 from behavexplor.envs.functional import IntersectionLeftEnv, LaneChangeEnv
 from behavexplor.envs.road_objects import road_network
 from behavexplor.envs.tasks.scripted_world import make_world
@@ -119,3 +121,15 @@ def test_the_next_lane_is_highway_env_s(env_class):
         following = next_lane(world.network, vehicle, world.routes[0], station)
         assert network._indexes[following] == tuple(expected)
         assert route[vehicle.route_position :] == left
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_of_equally_close_next_lanes_the_first_is_highway_env_s(number):
+    road = RoadNetwork()
+    for origin, target, y in (*(("a", "b", 4 * k) for k in range(3)), *(("b", to, y) for to in "cd" for y in (2, 6))):
+        start = 0 if origin == "a" else 100
+        road.add_lane(origin, target, StraightLane([start, y], [start + 100, y]))
+    vehicle = np.zeros(1, VEHICLE)[0]
+    vehicle.target_lane, vehicle.route_length = number, NO_ROUTE
+    following = next_lane(make_network(road), vehicle, np.zeros(1, ROUTE_STEP), 100.0)
+    assert lane_indexes(road)[following] == road.next_lane(("a", "b", number), None, np.array([100.0, 4.0 * number]))

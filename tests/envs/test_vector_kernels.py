@@ -2,6 +2,7 @@
 
 import math
 
+import highway_env.utils
 import numpy as np
 import pytest
 from highway_env.road.road import Road
@@ -38,6 +39,7 @@ line_meets_box = called_alone(line_meets_box)
 move_npcs = called_alone(move_npcs)
 touches_line = called_alone(touches_line)
 take_maneuver = called_alone(lane_keeping.take_maneuver)
+not_zero = called_alone(lane_keeping.not_zero)
 nearest_speed = called_alone(lane_keeping.nearest_speed)
 keep_lane_and_speed = called_alone(lane_keeping.keep_lane_and_speed)
 lane_coordinates = called_alone(lane_coordinates)
@@ -155,6 +157,17 @@ def test_the_nearest_target_speed_is_highway_env_s(speed, steps, count):
     speeds = 1.0 + steps[0] * np.arange(count)
     vehicle = MDPVehicle(None, [0, 0], target_speeds=speeds)
     assert nearest_speed(speeds, speed) == vehicle.speed_to_index(speed)
+
+
+@pytest.mark.parametrize("speed", [-3.0, 5.0, 15.0, 25.0, 29.0, 99.0])
+def test_between_two_target_speeds_highway_env_s_is_the_nearest(speed):
+    speeds = np.array([0.0, 10.0, 20.0, 30.0])
+    assert nearest_speed(speeds, speed) == MDPVehicle(None, [0, 0], target_speeds=speeds).speed_to_index(speed)
+
+
+@pytest.mark.parametrize("value", [0.0, -0.0, 0.005, -0.005, 0.01, -0.01, 0.02, -0.02])
+def test_a_denominator_is_kept_from_zero_as_in_highway_env(value):
+    assert not_zero(value) == highway_env.utils.not_zero(value)
 
 
 @given(st.floats(-60, 60), st.floats(-10, 10))

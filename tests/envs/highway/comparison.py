@@ -23,9 +23,11 @@ from behavexplor.envs.engine.frames import give_command, run_frames
 from behavexplor.envs.engine.state import EPISODE, VEHICLE, Scene, make_scratch, make_slots
 from behavexplor.envs.engine.world import make_world
 from behavexplor.envs.highway.conversion import load_state
+from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
 from behavexplor.envs.tasks.highway_tasks import goal_lanes
 from behavexplor.envs.tasks.intersection import clear_vehicles
 from behavexplor.jit import kernel_in_place
+from tests.envs.highway.scattered import scatter
 
 C_LIBRARY = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR", "OPENBLAS_CORETYPE": "Haswell"}
 IDS = (
@@ -74,20 +76,43 @@ def step(world, slots, scratch, commands, active, log):
             run_frames(world.network, world.rules[0], scene, world.rules[0].n_frames, log.frames[b], log.things[b])
 
 
-def compare(env_id, config=None, *, episodes, first_seed=0, decisions=60):
-    """Drive highway-env and the engine with random actions from the same starts, to the end of every episode."""
+def compare(env_id, config=None, *, episodes, first_seed=0, decisions=60, scattered=False):
+    """Drive highway-env and the engine with random actions from the same starts, to the end of every episode.
+
+    Episodes begin as highway-env begins them, or with vehicles scattered anywhere, whose observation is compared, too.
+    """
     env = make(env_id, config)
     world, slots = world_of(env), make_slots(2, N_PLACES, N_STEPS)
     scratch = make_scratch(len(world.network.lanes), N_PLACES)
+    compiled = HighwayVectorEnv(type(env), 1, config) if scattered else None
     result = Comparison()
     for seed in range(first_seed, first_seed + episodes):
         env.reset(seed=seed)
         env.action_space.seed(seed)
+        if scattered:
+            scatter_and_observe(env, compiled, seed, result)
         load_state(env, world, slots, 0)
+        fill_rest(slots, scratch)
         drive(env, world, slots, scratch, result, decisions)
         result.episodes += 1
         result.crashes += int(env.vehicle.crashed)
     return result
+
+
+def scatter_and_observe(env, compiled, seed, result):
+    """Put the vehicles of highway-env anywhere, and compare its observation with that of a compiled episode."""
+    scatter(env, np.random.default_rng(seed), compiled._slots.routes.shape[2])
+    shown, _ = compiled.reset(options={"starts": {0: env}})
+    if not np.array_equal(shown[0], env.observation_type.observe(), equal_nan=True):
+        result.different.append("observation")
+
+
+def fill_rest(slots, scratch):
+    """Fill the rest of the first slot, which is undefined, with vehicles where others are, beginning with the last."""
+    n = int(slots.episodes[0].n_vehicles + slots.episodes[0].n_obstacles)
+    same = n - 1 - np.arange(N_PLACES - n) % n
+    slots.vehicles[0, n:], slots.traits[0, n:] = slots.vehicles[0, same], slots.traits[0, same]
+    scratch.xs[n:] = slots.vehicles[0, n:]["x"]
 
 
 def drive(env, world, slots, scratch, result, decisions):

@@ -51,6 +51,12 @@ def test_the_network_is_highway_env_s():
         assert all(link.offset in (row.length, -network.lanes[link.lane].length) for link in links[1:])
 
 
+def test_a_network_has_neither_goals_nor_links_unless_they_are_asked_for():
+    network = make_network(make("roundabout-v1").road.network)
+    assert not network.lanes["is_goal"].any()
+    assert network.links.tolist() == [(lane, 0.0) for lane in range(len(network.lanes))]
+
+
 def test_goals_are_those_of_the_environment():
     for env_id, goals in {
         "merge-v0": {("b", "c", 2)},

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.state import make_scratch, make_slots
 from behavexplor.envs.highway.conversion import load_state
+from behavexplor.envs.observation_types import FEATURES
 from tests.envs.highway.comparison import IDS, N_PLACES, N_STEPS, compare, compare_in_child, make, many, step, world_of
 
 SHORT = {"highway-v0": {"decisions": 2}}  # its decisions take ten times as long in highway-env
@@ -32,6 +33,36 @@ OTHERS = {
     "continuous in the U-turn": ("u-turn-v0", {"action": ACTIONS["continuous"], **KINEMATICS}),
     "two egos, one of them on its own": ("highway-fast-v0", {"controlled_vehicles": 2}),
 }
+ALL_OBSERVED = {
+    "observation": {
+        "type": "Kinematics", "features": list(FEATURES), "vehicles_count": 7, "see_behind": True,
+        "observe_intentions": True,
+    }
+}  # fmt: skip
+FEW_OBSERVED = {
+    "observation": {
+        "type": "Kinematics", "features": list(FEATURES), "vehicles_count": 4, "normalize": False, "absolute": True,
+        "include_obstacles": False,
+    }
+}  # fmt: skip
+TIMES_OBSERVED = {
+    "observation": {"type": "TimeToCollision", "horizon": 7},
+    "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 10, 20, 30]},
+}
+CONNECTED = {"neighbour_vehicles_connected_lanes": True}
+SCATTERED = [
+    ("highway-fast-v0", {**ALL_OBSERVED, "vehicles_count": 14}),
+    ("highway-fast-v0", {**FEW_OBSERVED, "vehicles_count": 14, "action": ACTIONS["continuous"]}),
+    ("merge-v0", TIMES_OBSERVED),
+    ("merge-v0", {**ALL_OBSERVED, **CONNECTED}),
+    ("roundabout-v1", ALL_OBSERVED),
+    ("roundabout-v1", {**TIMES_OBSERVED, **CONNECTED}),
+    ("intersection-v0", TIMES_OBSERVED),
+    ("intersection-v0", {**ALL_OBSERVED, "action": ACTIONS["continuous"]}),
+    ("exit-v0", {"vehicles_count": 14}),
+    ("two-way-v0", TIMES_OBSERVED),
+    ("u-turn-v0", ALL_OBSERVED),
+]
 
 
 def assert_equal(result):
@@ -50,6 +81,15 @@ def results():
 def test_the_engine_drives_as_highway_env_to_the_last_bit(name, results):
     assert results[name].decisions > 0
     assert_equal(results[name])
+
+
+def test_any_state_is_observed_and_goes_on_as_in_highway_env_to_the_last_bit():
+    frames = {"simulation_frequency": 15, "policy_frequency": 5}
+    calls = [{"env_id": name, "config": {**config, **frames}} for name, config in SCATTERED]
+    results = compare_in_child(*({**call, "episodes": 10, "decisions": 1, "scattered": True} for call in calls))
+    for result in results:
+        assert_equal(result)
+    assert sum(result.crashes for result in results) > 30
 
 
 def test_something_happens_in_the_comparisons(results):

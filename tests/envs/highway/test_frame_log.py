@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from highway_env.envs import HighwayEnvFast, IntersectionEnv
 
+from behavexplor.envs.engine.frame_log import make_log
+from behavexplor.envs.engine.state import make_scratch, make_slots
+from behavexplor.envs.highway.conversion import load_state
 from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
 from behavexplor.errors import InputError
+from tests.envs.highway.comparison import N_PLACES, N_STEPS, make, step, world_of
 from tests.envs.highway.frame_by_frame import compare_in_child
 
 CALLS = {
@@ -77,6 +81,29 @@ def test_a_reset_logs_the_start_and_not_what_happened_before_it():
     assert (things["lane"][0, 0, :count] == start.vehicles["lane"]).all()
     assert (things["target_lane"][0, 0, :count] == start.vehicles["target_lane"]).all()
     assert (things["x"][0, 0, :count] == start.vehicles["x"]).all()
+
+
+def test_nothing_is_logged_beyond_the_log():
+    env = make("highway-fast-v0")
+    env.reset(seed=0)
+    world, slots, log = world_of(env), make_slots(1, N_PLACES, N_STEPS), make_log(1, 3, N_PLACES)
+    load_state(env, world, slots, 0)
+    shorter = log._replace(frames=log.frames[:, :2], things=log.things[:, :2])
+    step(world, slots, make_scratch(3, N_PLACES), np.zeros((1, 2)), np.array([True]), shorter)
+    assert slots.episodes["frames"] == 5
+    assert (log.frames["n_things"] > 0).tolist() == [[True, True, False]]
+    assert not log.things[:, 2]["x"].any()
+
+
+@pytest.mark.parametrize("aside", [1.95, 2.0, 2.05])
+def test_the_edge_of_the_road_is_highway_env_s(aside):
+    config = {"vehicles_count": 3}
+    env, start = HighwayVectorEnv(HighwayEnvFast, 1, config, log_frames=True), HighwayEnvFast(config)
+    start.reset(seed=0)
+    start.vehicle.position = np.array([300.0, -aside])  # beside the first lane
+    start.vehicle.on_state_update()
+    env.reset(options={"starts": {0: start}})
+    assert env.frame_log.frames["is_on_road"][0, 0] == start.vehicle.on_road == (aside <= 2.0)
 
 
 def test_without_asking_there_is_no_log():

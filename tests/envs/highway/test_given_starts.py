@@ -60,6 +60,33 @@ def test_slots_without_a_start_begin_as_ever():
     np.testing.assert_allclose(shown[1], expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("see_behind", [False, True])
+def test_the_edges_of_what_is_observed_are_highway_env_s(see_behind):
+    """At the greatest distance, two lengths behind, and as far ahead as behind."""
+    gaps = [200.0, -200.0, 199.5, -10.0, -9.5, 5.0, -5.0]
+    config = {"vehicles_count": len(gaps), "observation": {"type": "Kinematics", "vehicles_count": 8}}
+    config["observation"] |= {"see_behind": see_behind, "normalize": False}
+    env, given = HighwayVectorEnv(HighwayEnvFast, 1, config), HighwayEnvFast(config)
+    for gap, vehicle in zip([0.0, *gaps], given.road.vehicles, strict=True):
+        vehicle.position, vehicle.heading = np.array([400.0 + gap, 4.0]), 0.0
+        vehicle.on_state_update()
+    shown, _ = env.reset(options={"starts": {0: given}})
+    np.testing.assert_allclose(shown[0], given.observation_type.observe(), atol=1e-6)
+    assert np.count_nonzero(shown[0, :, 0]) == (6 if see_behind else 5)
+
+
+def test_times_to_collision_of_nothing_are_highway_env_s():
+    """The centers of two vehicles, and the ends of others, are side by side."""
+    config = {"vehicles_count": 3, "observation": {"type": "TimeToCollision"}}
+    env, given = HighwayVectorEnv(HighwayEnvFast, 1, config), HighwayEnvFast(config)
+    for vehicle, *position in zip(given.road.vehicles, [400.0, 400.0, 405.0, 395.0], [4.0, 0.0, 8.0, 8.0], strict=True):
+        vehicle.position, vehicle.heading, vehicle.speed = np.array(position), 0.0, 25.0
+        vehicle.on_state_update()
+    shown, _ = env.reset(options={"starts": {0: given}})
+    assert np.array_equal(shown[0], given.observation_type.observe())
+    assert shown[0, :, :, 0].any()
+
+
 def test_given_draws_end_with_the_episode():
     challenger, place_of_ego = [0.5, 0.1, 0.1, 0.0, 0.0, 0.5], [0.0]
     never = [0.99, 0.1, 0.1, 0.0, 0.0, 0.0]  # above the probability

@@ -4,15 +4,26 @@ import math
 
 import numpy as np
 import pytest
-from highway_env.road.lane import CircularLane, SineLane
+from highway_env.road.lane import CircularLane, SineLane, StraightLane
 from highway_env.road.road import RoadNetwork
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
-from behavexplor.envs.engine.lane_geometry import SLACK, closest_lane, is_farther, may_be_on_lane, note_places
-from behavexplor.envs.engine.lane_network import ALL_NEAR, lane_indexes, make_network
+from behavexplor.envs.engine.lane_geometry import (
+    SLACK,
+    closest_lane,
+    is_after_end,
+    is_farther,
+    is_on_lane,
+    is_on_road,
+    is_reachable,
+    may_be_on_lane,
+    note_places,
+)
+from behavexplor.envs.engine.lane_network import ALL_NEAR, ON_LANE, lane_indexes, make_network
 from behavexplor.envs.engine.reactive_traffic import UNKNOWN, neighbors
-from behavexplor.envs.engine.state import Scene, make_scratch, make_slots
+from behavexplor.envs.engine.state import VEHICLE, Scene, make_scratch, make_slots
 from behavexplor.envs.highway.conversion import load_state
 from behavexplor.envs.tasks.intersection import clear_vehicles
 from behavexplor.envs.tasks.reward_terms import plus
@@ -36,6 +47,13 @@ def closest_of_many(network, likely, points, found):
 @kernel_in_place
 def bounds(network, x, y, limit, margin):
     return is_farther(network.lanes[0], x, y, limit), may_be_on_lane(network.lanes[0], x, y, margin)
+
+
+@kernel_in_place
+def judged(network, vehicle, station, offset):
+    lane = network.lanes[0]
+    is_on = is_on_lane(lane, station, offset, 1.0), is_on_road(network, vehicle)
+    return *is_on, is_reachable(lane, vehicle.x, vehicle.y), is_after_end(lane, station)
 
 
 @kernel_in_place
@@ -131,6 +149,43 @@ def test_bounds_leave_out_no_lane_that_is_near(lane, station, offset):
         assert bounds(network, *position, -SLACK, 1.0)[0] or distance < 1e-6
 
 
+def random_lane(rng):
+    start, phase = rng.uniform(-60, 60, 2), rng.uniform(-4, 4)
+    if rng.random() < 0.5:
+        return CircularLane(start, rng.uniform(5, 50), phase, phase + rng.uniform(-4, 4), rng.random() < 0.5)
+    return SineLane(start, start + rng.normal(0, 60, 2), rng.uniform(-8, 8), rng.uniform(0.01, 0.1), phase)
+
+
+def test_lanes_that_are_not_near_are_as_far_apart_as_is_promised():
+    """A point within `ON_LANE` of one is farther from the other, and by more than any difference of headings."""
+    rng, reach, n_apart = np.random.default_rng(0), 2 * ON_LANE + math.pi, 0
+    for _ in range(10):
+        road, lanes = RoadNetwork(), [random_lane(rng) for _ in range(20)]
+        for lane in lanes:
+            road.add_lane("a", "b", lane)
+        near = make_network(road).lanes["near"]
+        lines = [[lane.position(station, 0) for station in np.linspace(0, lane.length, 200)] for lane in lanes]
+        for i, line in enumerate(lines):
+            others = [points for j, points in enumerate(lines) if j != i and not near[i] >> j & 1]
+            gaps, _ = cKDTree(line).query(np.concatenate(others), distance_upper_bound=reach - 1e-3)
+            assert np.isinf(gaps).all()  # farther than the bound
+            n_apart += len(others)
+    assert n_apart > 1000
+
+
+@pytest.mark.parametrize("forbidden", [False, True])
+def test_the_edges_of_a_lane_are_highway_env_s(forbidden):
+    lane, road, vehicle = StraightLane([0, 0], [100, 0], forbidden=forbidden), RoadNetwork(), np.zeros(1, VEHICLE)[0]
+    road.add_lane("a", "b", lane)
+    network, around = make_network(road), [-0.05, 0.0, 0.05]
+    for station in np.add.outer([-5.0, 0.0, 97.5, 100.0, 105.0], around).ravel():
+        for offset in np.add.outer([-8.0, -3.0, -2.0, 0.0, 2.0, 3.0, 8.0], around).ravel():
+            vehicle.x, vehicle.y = position = np.array([station, offset])
+            is_on = lane.on_lane(position, margin=1), lane.on_lane(position)
+            expected = *is_on, lane.is_reachable_from(position), lane.after_end(position)
+            assert judged(network, vehicle, station, offset) == expected
+
+
 def test_of_equally_close_lanes_the_first_is_chosen():
     env = make("two-way-v0")
     network = world_of(env).network
@@ -149,7 +204,10 @@ def test_neighbors_are_highway_env_s(env_id, connected):
     for _ in range(20):
         for vehicle in env.road.vehicles:
             lane = env.road.network.get_lane(indexes[rng.integers(len(indexes))])
-            vehicle.position = lane.position(rng.uniform(0, lane.length), rng.normal(0, 1))
+            station, offset = rng.uniform(0, lane.length), rng.normal(0, 1)
+            if env_id == "merge-v0" and rng.random() < 0.5:  # straight lanes, on which vehicles are equally far
+                station, offset = 40.0, 0.0
+            vehicle.position = lane.position(station, offset)
             vehicle.on_state_update()
         load_state(env, world, slots, 0)
         scratch.n_on_lane[:] = UNKNOWN

@@ -68,6 +68,7 @@ DRAWS = {  # numpy's draw and ours; n is from 2 to 60
     "integers": (lambda g, n: g.integers(n), integer),
     "integers from 1": (lambda g, n: g.integers(1, n + 1), lambda w, n: 1 + integer(w, n)),
     "many integers": (lambda g, n: g.integers(2**32 - n), lambda w, n: integer(w, 2**32 - n)),
+    "all integers": (lambda g, n: g.integers(2**32), lambda w, n: integer(w, 2**32)),
     "one integer": (lambda g, n: g.integers(1), lambda w, n: integer(w, 1)),
     "choice": (lambda g, n: g.choice(NAMES), lambda w, n: NAMES[integer(w, 3)]),
     "two of": (lambda g, n: tuple(g.choice(range(n), size=2, replace=False)), two_of),
@@ -105,6 +106,53 @@ def test_the_tail_of_the_normal_distribution_is_numpy_s():
     draws = np.array([draw(words, 2, 0) for _ in range(200_000)])
     assert (draws == generator.normal(size=200_000)).all()
     assert (np.abs(draws) > 3.7).any()  # beyond the last layer
+
+
+MULTIPLIER = 0x2360ED051FC65DA44385DF649FCCF645  # of PCG64, as in numpy's pcg64.h
+
+
+def about_to_draw(word):
+    """A generator whose next 64 bits are given: those of the state after the next step, if its upper half is 0."""
+    generator = np.random.default_rng(0)
+    state = generator.bit_generator.state
+    state["state"]["state"] = (word - state["state"]["inc"]) * pow(MULTIPLIER, -1, 2**128) % 2**128
+    generator.bit_generator.state = state
+    return generator
+
+
+def about_to_draw_half(half):
+    """A generator whose next 32 bits are given."""
+    generator = np.random.default_rng(0)
+    generator.bit_generator.state = generator.bit_generator.state | {"has_uint32": 1, "uinteger": half}
+    return generator
+
+
+@pytest.mark.parametrize("beyond", [-1, 0, 1])
+def test_normal_numbers_at_the_edge_of_each_layer_are_numpy_s(beyond):
+    for layer, edge in enumerate(pcg64._KI.tolist()):
+        for is_negative in (0, 1):
+            generator = about_to_draw(max(edge + beyond, 0) << 9 | is_negative << 8 | layer)
+            words = generator_words(generator)
+            assert draw(words, 2, 0) == generator.normal()
+            assert (words == generator_words(generator)).all()
+
+
+@pytest.mark.parametrize("n", [3, 1001, 3_000_000_001, 2**32 - 1])
+def test_integers_at_the_edge_of_rejection_are_numpy_s(n):
+    threshold = 2**32 % n  # Lemire, 2019: a product with less than that in its lower half is rejected
+    for lower in {max(threshold + k, 0) for k in (-1, 0, 1)} | {n - 1, n, n + 1}:
+        generator = about_to_draw_half(lower * pow(n, -1, 2**32) % 2**32)
+        words = generator_words(generator)
+        assert integer(words, n) == generator.integers(n)
+        assert (words == generator_words(generator)).all()
+
+
+@pytest.mark.parametrize("shares", [[0.25, 0.25, 0.5], [0.5, 0.0, 0.5], [0.0, 1.0]])
+@pytest.mark.parametrize("position", [0.0, 0.25, 0.5, 1 - 2**-53])
+def test_a_share_at_the_edge_of_two_choices_is_numpy_s(shares, position):
+    generator = about_to_draw(int(position * 2**64))
+    words = generator_words(generator)
+    assert weighted(words, np.cumsum(shares)) == generator.choice(len(shares), size=1, p=shares)[0]
 
 
 @given(st.integers(0, 2**64), st.integers(0, 3))
