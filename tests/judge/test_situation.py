@@ -276,9 +276,10 @@ def test_who_is_slow_stands_or_creeps(speed, motion):
 def test_an_ego_brakes_if_it_has_lost_two_meters_per_second_in_the_last_second(speeds, expected):
     rows = np.column_stack([np.zeros((3, 3)), speeds])
     trace = driven(rows, rows[::-1], time=[0.0, 0.95, 1.95])
-    for seen, _ in views(trace):
-        assert behavior_of(seen, 2) == expected or speeds == (5.0, 5.0, 3.0)
     assert behavior_of(trace, 2) == expected
+    is_on_a_bound = speeds == (5.0, 5.0, 3.0)
+    for seen, _ in views(trace) if not is_on_a_bound else ():
+        assert behavior_of(seen, 2) == expected
 
 
 def test_offsets_from_the_route_are_positive_to_the_right():
