@@ -37,6 +37,20 @@ def test_the_threshold_is_exclusive(threshold, distinct):
     assert len(archive) == distinct
 
 
+@pytest.mark.parametrize(("frames", "joins"), [(62, False), (52, True), (102, False), (101, False)])
+def test_a_behavior_joins_if_it_is_farther_than_four_tenths_from_all(frames, joins):
+    """With one cluster, by the lengths alone: 60 of 100 states are just so far, and 50 are farther."""
+    archive = NoveltyArchive(NoveltyOptions(miner=MinerOptions(clusters=1)))
+    time = np.arange(102) / 10
+    still = [make_trace(np.zeros((count, 3)), time=time[:count]) for count in (101, frames - 1)]
+    assert archive.observe(still[0]) == 1.0
+    lengths = 100, frames - 2
+    assert archive.observe(still[1]) == (max(lengths) - min(lengths)) / max(lengths)
+    assert len(archive) == 1 + joins
+    assert NoveltyOptions() == NoveltyOptions(threshold=0.4, miner=MinerOptions())
+    assert NoveltyArchive().options == NoveltyOptions()
+
+
 def test_the_same_traces_have_the_same_novelty():
     first, second = ([archive.observe(trace) for trace in TRACES] for archive in (NoveltyArchive(), NoveltyArchive()))
     assert first == second

@@ -209,7 +209,9 @@ def test_an_earlier_heading_is_the_first_one_of_the_last_thirty_meters(length):
     ],
 )
 def test_the_touched_side_is_where_the_boxes_overlap(place, heading, expected):
-    trace = driven([0.0, 0.0, 0.0, 5.0], [50.0, 0.0, 0.0, 0.0], [*place, heading, 5.0])
+    trace = driven(
+        [0.0, 0.0, 0.0, 5.0], [50.0, 0.0, 0.0, 0.0], [*place, heading, 5.0], sizes=[CAR, (9.0, 3.0), (4.2, 1.9)]
+    )
     assert_named(trace, touched_side, expected, 0, 2)
 
 
