@@ -45,6 +45,12 @@ def test_a_touch_of_one_frame_is_found_wherever_it_is(frame):
     assert first_line_touch(driven(np.zeros((20, 4)), illegal_lines=lines)) is None
 
 
+def test_a_line_that_touches_a_corner_only_is_touched():
+    """A box of 8 m times 6 m has a corner 5 m from its middle, and the line is tangent to the circle through it."""
+    lines = [[[7.0, -1.0], [1.0, 7.0]]]
+    assert first_line_touch(driven(np.zeros(4), illegal_lines=lines, sizes=[(8.0, 6.0)])) == ViolationEvent("R2", 0, 0)
+
+
 def test_a_line_at_the_resolution_of_a_trace_is_touched():
     lines = [[[-9.0, gap], [9.0, gap]] for gap in (1.0 + 1e-6, 1.0 + 0.9e-9)]
     assert first_line_touch(driven(np.zeros(4), illegal_lines=lines)) == ViolationEvent("R2", 0, 1)

@@ -7,7 +7,7 @@ import pytest
 
 from behavexplor.data.trace import Trace
 from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault, own_violations
-from tests.judge.traces import driven, views
+from tests.judge.traces import CAR, driven, views
 
 STEP = 0.1
 SIZE = np.array([[4.7, 2.06], [4.57, 2.08]])
@@ -132,8 +132,9 @@ def test_a_collision_by_another_takes_the_missed_destination_with_it():
 
 
 def contact(ego=(0.0, 0.0, 0.0, 5.0), npc=(-3.5, 0.0, 0.0, 9.0), frames=2, **fields):
-    """A contact of two vehicles of 4 m times 2 m that are as given in each frame."""
-    return driven(np.tile(ego, (frames, 1)), np.tile(npc, (frames, 1)), end="collision", **fields)
+    """A contact of an ego of 4 m times 2 m and an NPC of 6 m times 2 m that are as given in each frame."""
+    rows = np.tile(ego, (frames, 1)), np.tile(npc, (frames, 1))
+    return driven(*rows, sizes=[CAR, (6.0, 2.0)], end="collision", **fields)
 
 
 @pytest.mark.parametrize(
@@ -156,6 +157,13 @@ def test_who_struck_whom_by_place_heading_and_speed(ego_speed, npc, verdict):
     is_on_a_bound = npc[0] == -2.0 or npc[2] == 0.8 or ego_speed in (0.3, npc[3])
     for seen, _ in views(found) if not is_on_a_bound else ():
         assert contact_fault(seen) == verdict
+
+
+def test_the_poses_of_the_last_frame_tell_who_struck_whom():
+    """An NPC that came from the front, stopped, and turned before it struck."""
+    npc = np.array([[9.0, 5.0, 3.0, 1.0], [5.0, 5.0, 2.0, 1.0], [-2.5, 3.0, 1.0, 1.0], [-3.5, 0.0, 0.0, 9.0]])
+    struck = driven(np.tile([0.0, 0.0, 0.0, 5.0], (4, 1)), npc, end="collision")
+    assert contact_fault(struck) == "npc_rear_end"
 
 
 @pytest.mark.parametrize(

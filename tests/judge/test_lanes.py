@@ -128,6 +128,12 @@ def test_a_partner_on_the_ego_s_way_is_ahead_beside_or_behind_along_the_chord(pl
         assert relation(replace(seen, signals=told), 40, 1) == changed(expected)
 
 
+def test_short_vehicles_may_be_hardly_ahead_and_not_beside():
+    for x, expected in ((0.6, "ahead-on-the-right"), (0.4, "on-the-right"), (-0.6, "behind-on-the-right")):
+        trace = lanes(where=ON_ITS_WAY, lane=1, npcs=[(x, 4.0, 0.0)], sizes=[(0.5, 0.5)] * 2)
+        assert relation(trace, 40, 1) == expected
+
+
 @pytest.mark.parametrize(
     ("place", "expected"),
     [
