@@ -323,3 +323,9 @@ def test_verdicts_of_users_specs_are_in_their_order():
     found = judge(make_trace(STILL), [Broken("b", 3.0), Broken("a", 4.5), *SPECS])
     assert list(found.degrees) == ["b", "a", "collision", "lines", "destination"]
     assert found.degree == 3.0 + 4.5 + 1000.0 + 1000.0 + 10.0
+
+
+@pytest.mark.parametrize("kind", [Collision, Lines, Destination])
+def test_the_papers_specs_keep_their_names(kind):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'name'"):
+        kind(name="mine")
