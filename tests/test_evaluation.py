@@ -13,7 +13,6 @@ from behavexplor import Run, evaluation
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, UNDECIDED, main
 from behavexplor.commands.rate_table import rates_table as table
 from behavexplor.data.target import Target
-from behavexplor.errors import InputError
 from behavexplor.evaluation import STREAM, Evaluation, estimate_rates, start_judge, uniform_outcomes
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout_all
@@ -117,32 +116,6 @@ def test_an_undecided_rate_is_said_to_be(cruising):
         found = estimate_rates(executor, cruising[0].logical, 5, 0, goal=Goal("lines", until=0.01))
     assert not found.decision.verdict
     assert found.decision.n == 5
-
-
-@pytest.mark.parametrize(
-    ("decision", "words"),
-    [
-        (
-            Decision(Goal(below=0.001), 41000, 12, 0.0001, 0.0008),
-            "Below 0.1 %: collision in 12 of 41000 scenarios (0.010%",
-        ),
-        (
-            Decision(Goal(below=0.001), 900, 0, 0.0, 0.004),
-            "Not decided: collision in none of 900 scenarios (at most 0.4",
-        ),
-        (Decision(Goal(below=0.25), 90, 80, 0.7, 0.95), "Above 25 %: collision in 80 of 90"),
-        (Decision(Goal(until=0.2), 100, 50, 0.45, 0.55), "Known as precisely as wanted: collision in 50 of 100"),
-    ],
-)
-def test_a_decision_is_a_sentence(decision, words):
-    assert decision.words.startswith(words)
-    assert decision.words.endswith("95 %, valid at any time)")
-
-
-@pytest.mark.parametrize("values", [{}, {"below": 0.1, "until": 0.1}, {"below": 0.0}, {"below": 1.0}, {"until": 1e-3}])
-def test_a_goal_that_makes_no_sense_is_refused(values):
-    with pytest.raises(InputError, match=r"Give either|must lie between"):
-        Goal(**values)
 
 
 @pytest.mark.parametrize(("below", "code"), [(0.995, OK), (0.001, CHECK_FAILED), (0.8, UNDECIDED)])

@@ -85,8 +85,7 @@ def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray
 
 def _without_jumps(heading: Floats) -> Floats:
     """Return headings without jumps by a full turn, shape (T,) [rad]."""
-    turned = heading[1:] - heading[:-1]
-    if turned.min() > -np.pi and turned.max() < np.pi:  # np.unwrap takes twice as long to find this
+    if np.abs(heading[1:] - heading[:-1]).max() < np.pi:  # np.unwrap takes twice as long to find this
         return heading + 0.0  # as np.unwrap does, so that -0 becomes 0
     return np.unwrap(heading)
 
@@ -236,7 +235,7 @@ def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels
         for k in range(N_STATISTICS):
             _scale(columns[k], clusters.mean[first + k], clusters.scale[first + k])
         for k in range(len(clusters.centers)):
-            center = clusters.centers[k, first : first + N_STATISTICS]
+            center = clusters.centers[k, first:]
             _add_products(columns, 0, center, products[0, k])
             _add_products(columns, 1, center, products[1, k])
     _find_nearest(products, clusters.squares, labels)

@@ -98,7 +98,7 @@ def heading_before(trace: Trace, frame: int, vehicle: int) -> float:
     steps = np.diff(trace.position[: frame + 1, vehicle], axis=0)
     left = np.cumsum(np.hypot(steps[:, 0], steps[:, 1])[::-1])  # distance left to drive [m]
     back = int(np.searchsorted(left, BEFORE))
-    return float(trace.heading[max(frame - back, 0), vehicle])
+    return float(trace.heading[frame - back, vehicle])
 
 
 def touched_side(trace: Trace, frame: int, npc: int) -> str:

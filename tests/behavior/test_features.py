@@ -5,7 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from behavexplor.behavior.features import ATTRIBUTES, N_FEATURES, STATISTICS, merged_states, state_matrix
+from behavexplor.behavior.features import (
+    ATTRIBUTES,
+    N_FEATURES,
+    NEGLIGIBLE,
+    STATISTICS,
+    Clusters,
+    known_states,
+    merged_states,
+    nearest_clusters,
+    state_matrix,
+)
 from behavexplor.data.geometry import project_on_polyline
 from tests.fakes import make_trace
 
@@ -79,6 +89,65 @@ def test_nearly_constant_windows_have_no_complexity():
     states = np.full((20, 8), 0.1)  # the mean of ten times 0.1 is not quite 0.1
     states[::2] += 1e-4
     assert (feature(merged_states(states, 10), "speed", "complexity") == 0).all()
+
+
+@pytest.mark.parametrize(("deviation", "has_complexity"), [(0.99e-3, False), (1.01e-3, True)])
+def test_a_window_has_a_complexity_if_it_deviates_by_a_thousandth(deviation, has_complexity):
+    states = np.where(np.arange(20) % 2, deviation, -deviation)[:, None] * np.ones(8)
+    found = feature(merged_states(states, 10, "cut"), "speed", "complexity")
+    assert found == pytest.approx(6.0 if has_complexity else 0.0)  # the root of 9 changes by 2 deviations
+    effects = dict(zip(STATISTICS, NEGLIGIBLE, strict=False))  # of a deviation of a thousandth
+    assert effects.pop("variance") == pytest.approx(1e-6)
+    assert effects.pop("non-linearity") == pytest.approx(1e-9)
+    assert set(effects.values()) == {1e-3}
+    assert NEGLIGIBLE.reshape(8, 8).tolist() == [NEGLIGIBLE[:8].tolist()] * 8
+
+
+@pytest.mark.parametrize("tail", ["padded", "cut"])
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_the_nearest_cluster_is_that_of_all_scaled_features(count, tail):
+    """Features and centers vary alike in all 64 features, so that each one matters."""
+    rng = np.random.default_rng(count)
+    for rows, window in ((1, 3), (5, 1), (30, 2), (30, 10)):
+        states = rng.normal(0, 2, (rows, 8))
+        merged = merged_states(states, window, tail)
+        mean, scale = rng.normal(0, 1, N_FEATURES), np.maximum(merged.std(0), 0.1) * rng.uniform(0.5, 2, N_FEATURES)
+        centers = rng.normal(0, 1, (count, N_FEATURES))
+        found = nearest_clusters(states, window, tail, Clusters(centers, np.square(centers).sum(1), mean, scale))
+        gaps = np.square((merged - mean) / scale - centers[:, None]).sum(2)
+        assert found.tolist() == gaps.argmin(0).tolist()
+        assert found.dtype == np.uint8
+
+
+@pytest.mark.parametrize("feature_number", range(N_FEATURES))
+def test_each_feature_alone_decides_between_clusters(feature_number):
+    """Of two centers that differ in one feature only, and of two that are equal the first."""
+    states = np.random.default_rng(3).normal(0, 2, (12, 8))
+    merged = merged_states(states, 4, "cut")
+    values = merged[:, feature_number]
+    low, high = np.zeros((2, N_FEATURES))
+    low[feature_number], high[feature_number] = values.min() - 1.0, values.max() + 0.5
+    centers = np.stack([high, low, high])
+    clusters = Clusters(centers, np.square(centers).sum(1), np.zeros(N_FEATURES), np.ones(N_FEATURES))
+    middle = (low[feature_number] + high[feature_number]) / 2
+    assert nearest_clusters(states, 4, "cut", clusters).tolist() == (values < middle).astype(int).tolist()
+
+
+def test_what_another_process_has_computed_is_taken_for_its_frame_only():
+    trace, known = make_trace(np.zeros((5, 3))), np.full((2, 8), 3.0, np.float32)
+    vars(trace).update(known_states("world", known))
+    assert state_matrix(trace, "world") is known
+    assert state_matrix(trace).shape == state_matrix(trace, "route").shape == (3 - 1, 8)
+    assert not state_matrix(trace, "route").any()
+
+
+@pytest.mark.parametrize("start", [0.0, 3.0, 4.0, -4.0, 7.0, 20.0])
+def test_headings_begin_within_half_a_turn_and_go_on_without_jumps(start):
+    ego = np.column_stack([np.zeros((30, 2)), start + 0.3 * np.arange(30)])
+    found = column(state_matrix(make_trace(ego, time=np.arange(30) / 10), "world"), "heading")
+    assert abs(found[0]) <= np.pi + 1e-6
+    assert np.exp(1j * found[0]) == pytest.approx(np.exp(1j * start))
+    assert np.diff(found) == pytest.approx(0.3, abs=1e-5)
 
 
 def test_window_of_one_is_the_state_itself():
@@ -175,7 +244,16 @@ def test_states_are_numpys_interpolation_to_the_last_bit(seed):
     heading = np.cumsum(rng.normal(0, 2.0 if seed % 2 else 0.1, frames))  # with jumps, or without
     ego = np.column_stack([rng.normal(0, 9, (frames, 2)), heading])
     trace = make_trace(ego, [ego + 10], time=np.concatenate([[0.0], np.cumsum(steps)]))
-    assert np.array_equal(state_matrix(trace, "world"), interpolated_by_numpy(trace))
+    assert state_matrix(trace, "world").tobytes() == interpolated_by_numpy(trace).tobytes()
+
+
+@pytest.mark.parametrize("jump", [0.0, 2 * np.pi])
+def test_a_negative_zero_is_a_zero_with_jumps_and_without(jump):
+    ego = np.array([[3.0, 0.0, 0.5], [2.0, 0.0, -0.0], [0.0, 0.0, -0.0], [1.0, 0.0, 0.5 + jump]])
+    trace = make_trace(ego, time=np.arange(4) / 10)
+    states = state_matrix(trace, "world")
+    assert states.tobytes() == interpolated_by_numpy(trace).tobytes()
+    assert not np.signbit(column(states, "heading")).any()
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from behavexplor.behavior import miner as miner_module
 from behavexplor.behavior.features import N_FEATURES, NEGLIGIBLE
-from behavexplor.behavior.miner import BehaviorMiner, MinerOptions, StateFile
+from behavexplor.behavior.miner import BehaviorMiner, MinerOptions, StateFile, _Sample, k_means
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.fakes import make_trace, simulate
@@ -253,13 +253,92 @@ def test_jitter_is_no_behavior():
         ("clusters", 257),
         ("refit_growth", -0.1),
         ("sample_size", 9),
+        ("sample_size", 0),
+        ("sample_size", 1_000_001),
         ("sample_size", 2**63),
         ("random_state", -1),
+        ("random_state", 2**32),
     ],
 )
 def test_options_out_of_range(option, value):
     with pytest.raises(InputError, match=option):
         MinerOptions(**{option: value})
+
+
+@pytest.mark.parametrize(
+    ("option", "values"),
+    [
+        ("window", (1, 1000)),
+        ("clusters", (1, 256)),
+        ("refit_growth", (0.0, 9.0)),
+        ("sample_size", (10, 1_000_000)),
+        ("random_state", (0, 2**32 - 1)),
+        ("tail", ("padded", "cut")),
+        ("heading_frame", ("route", "world")),
+        ("scaling", ("zscore", "none")),
+    ],
+)
+def test_options_at_the_ends_of_their_ranges(option, values):
+    assert [getattr(MinerOptions(**{option: value}), option) for value in values] == list(values)
+    assert MinerOptions(sample_size=1, clusters=1).sample_size == 1
+
+
+def test_defaults_are_the_papers_where_it_states_them():
+    paper = {"window": 10, "tail": "padded", "clusters": 10}
+    own = {"heading_frame": "route", "scaling": "zscore", "refit_growth": 0.25, "sample_size": 20_000}
+    assert MinerOptions() == MinerOptions(**paper, **own, random_state=0)
+
+
+@pytest.mark.parametrize(("size", "rows"), [(1, 2), (1, 3), (2, 5)])
+def test_every_row_is_in_the_sample_with_the_same_probability(size, rows):
+    """Whether the rows come one by one or all at once; 1500 samples, within five deviations."""
+    marked = np.arange(rows)[:, None] * np.ones(N_FEATURES)
+    for step in (1, rows):
+        kept = np.zeros(rows)
+        for seed in range(1500):
+            sample = _Sample(size, np.random.default_rng(seed))
+            for begin in range(0, rows, step):
+                assert sample.full == (begin >= size)
+                sample.extend(marked[begin : begin + step])
+            assert len({*sample.rows[:, 0]}) == size == len(sample.rows)
+            kept[sample.rows[:, 0].astype(int)] += 1
+        share = size / rows
+        assert np.abs(kept / 1500 - share).max() < 5 * np.sqrt(share * (1 - share) / 1500)
+
+
+def test_a_sample_that_is_not_full_has_all_rows_in_order():
+    sample = _Sample(4, np.random.default_rng(0))
+    marked = np.arange(4.0)[:, None] * np.ones(N_FEATURES)
+    for count in range(5):
+        assert sample.rows.tolist() == marked[:count].tolist()
+        assert sample.full == (count == 4)
+        sample.extend(marked[count : count + 1])
+
+
+def test_the_best_of_several_starts_is_kept():
+    """Four points in two pairs: a start between the pairs ends in a worse place than one at them."""
+    rows = np.array([[0.0, 0.0], [0.0, 1.0], [9.0, 0.0], [9.0, 1.0]])
+    good, bad = np.array([[0.0, 0.5], [9.0, 0.5]]), np.array([[4.5, 0.0], [4.5, 1.0]])
+    for starts in ([good], [bad, good], [good, bad]):
+        assert k_means(rows.copy(), 2, starts, 0) == pytest.approx(good)
+    assert k_means(rows.copy(), 2, [bad], 0) == pytest.approx(bad)
+    first, again = (k_means(np.random.default_rng(1).normal(size=(99, 3)), 9, ["k-means++"], 5) for _ in range(2))
+    assert first.tolist() == again.tolist()
+
+
+def test_an_abstract_trace_is_that_of_the_behavior_asked_for():
+    miner = miner_of(TRACES[:4])
+    first, second = (miner.describe(trace) for trace in TRACES[:2])
+    expected = [miner.abstract(one).tolist() for one in (first, second)]
+    assert [miner.abstract(one).tolist() for one in (first, first, second, second)] == [
+        expected[0],
+        expected[0],
+        expected[1],
+        expected[1],
+    ]
+    assert expected[0] != expected[1]
+    assert miner.add(first) == 4
+    assert miner._traces[4].tolist() == expected[0]
 
 
 def test_as_many_states_as_clusters_are_enough_for_a_sample():

@@ -37,6 +37,18 @@ def test_the_threshold_is_exclusive(threshold, distinct):
     assert len(archive) == distinct
 
 
+@pytest.mark.parametrize(("length", "joins"), [(60, False), (50, True), (100, False), (99, False)])
+def test_a_behavior_joins_if_it_is_farther_than_four_tenths_from_all(length, joins):
+    """With one cluster, by the lengths alone: 60 of 100 states are just so far, and 50 are farther."""
+    archive = NoveltyArchive(NoveltyOptions(miner=MinerOptions(clusters=1)))
+    first, second = (make_trace(np.zeros((n + 1, 3)), time=np.arange(n + 1) / 10) for n in (100, length))
+    assert archive.observe(first) == 1.0
+    assert archive.observe(second) == (100 - length) / 100
+    assert len(archive) == 1 + joins
+    assert NoveltyOptions() == NoveltyOptions(threshold=0.4, miner=MinerOptions())
+    assert NoveltyArchive().options == NoveltyOptions()
+
+
 def test_the_same_traces_have_the_same_novelty():
     first, second = ([archive.observe(trace) for trace in TRACES] for archive in (NoveltyArchive(), NoveltyArchive()))
     assert first == second

@@ -26,6 +26,27 @@ def test_states_come_back_in_order_and_again(in_memory):
             assert [found.tolist() for found in file] == [states.tolist() for states in BEHAVIORS[:count]]
 
 
+@pytest.mark.parametrize("in_memory", [1, 10_000])
+def test_states_are_added_at_the_end_wherever_they_are_read(in_memory):
+    file = StateFile(in_memory)
+    for states in BEHAVIORS:
+        file.append(states)
+    next(reading := iter(file))
+    file.append(BEHAVIORS[0])
+    reading.close()
+    assert [found.tolist() for found in file] == [states.tolist() for states in (*BEHAVIORS, BEHAVIORS[0])]
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="counts open files in /proc")
+def test_sixteen_mebibytes_are_kept_in_memory():
+    gc.collect()
+    before, file = open_files(), StateFile()
+    file.append(np.zeros((2**24 // 32, len(ATTRIBUTES)), np.float32))
+    assert open_files() == before
+    file.append(BEHAVIORS[0][:1])
+    assert open_files() == before + 1
+
+
 def open_files():
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
 

@@ -9,21 +9,14 @@ import sys
 import textwrap
 import time
 
-import numpy as np
 import pytest
 
 from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main
-from behavexplor.data.scripted_logical import ScriptedLogicalScenario
-from behavexplor.envs.functional import LaneFollowEnv
 from behavexplor.errors import InputError
-from behavexplor.judge.robustness import RobustnessSpec, as_spec, load_specs
-from behavexplor.judge.specs import NOTHING_NEAR, judge
 from behavexplor.report import drawing
-from behavexplor.testing import synthetic_trace
 
-LOGICAL: ScriptedLogicalScenario = LaneFollowEnv.logical
 SPECS = """
     import numpy as np
     from behavexplor.judge.signals import speed
@@ -224,28 +217,6 @@ def test_a_name_without_module_or_attribute_is_refused(flag, capsys):
     assert "must be written as package.module:attribute" in capsys.readouterr().err
 
 
-def test_two_of_one_name_are_refused():
-    with pytest.raises(InputError, match="Two specs are named 'keeps_below_9'"):
-        load_specs(["own_specs:keeps_below_9", "own_specs:keeps_below_9"])
-
-
 def test_specs_are_not_changed_on_resume(run, capsys):
     assert main(["fuzz", "--resume", str(run), "--spec", "own_specs:Brisk"]) == BAD_INPUT
     assert "cannot be given with --resume" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("robustness", "degree", "violated"),
-    [(2.5, 2.5, False), (0.0, 0.0, False), (-1e-9, 0.0, True), (float("inf"), NOTHING_NEAR, False), (-7, 0.0, True)],
-)
-def test_the_degree_is_the_robustness_above_zero(robustness, degree, violated):
-    trace = synthetic_trace(LOGICAL.sample(np.random.default_rng(0)), LOGICAL)
-    verdict = judge(trace, [RobustnessSpec("own", lambda _: robustness)])
-    assert (verdict.degrees["own"], verdict.failed) == (degree, violated)
-
-
-def test_a_class_is_made_and_its_name_taken():
-    spec = load_specs(["own_specs:Brisk"])[-1]
-    assert spec.name == "brisk-drive"
-    with pytest.raises(InputError, match="not callable"):
-        as_spec(3)

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from behavexplor.judge.closest_approach import LONGEST, ClosestApproach
+from behavexplor.judge.closest_approach import LONGEST, ClosestApproach, Nearness, known_nearness
+from behavexplor.judge.specs import Verdict, judge
 from tests.fakes import make_trace
+from tests.judge.traces import driven, views
 
 TIME = np.arange(0.0, 3.0, 0.05)
 
@@ -115,3 +117,94 @@ def test_the_time_left_is_that_after_which_discs_touch_wherever_the_vehicles_are
             assert nearest.time_left == pytest.approx(min(touched.values()), abs=2e-3)
             assert touched[nearest.npc] == min(touched.values())
     assert touches > 30
+
+
+@pytest.mark.parametrize(
+    ("gap", "speed", "time_left"),
+    [(79.9, -20.0, (79.9 - 4.92) / 40), (80.0, -20.0, (80.0 - 4.92) / 40), (80.2, -20.0, None)],
+)
+def test_a_vehicle_is_looked_at_up_to_eighty_meters(gap, speed, time_left):
+    """Two vehicles of 4 m times 2 m, whose outer discs lie 0.68 times 4 m and 1.1 times 2 m nearer than they."""
+    trace = driven([0.0, 0.0, 0.0, 20.0], [gap, 0.0, 0.0, speed])
+    nearest = ClosestApproach.of(trace)
+    assert (nearest and nearest.time_left) == (time_left and pytest.approx(time_left))
+
+
+@pytest.mark.parametrize(("gap", "is_near"), [(54.8, True), (55.0, False)])
+def test_only_less_than_five_seconds_count(gap, is_near):
+    """At 10 m/s, that is a gap of 50 m and 4.92 m."""
+    assert (ClosestApproach.of(driven([0.0, 0.0, 0.0, 10.0], [gap, 0.0, 0.0, 0.0])) is not None) == is_near
+    assert LONGEST == 5.0
+
+
+@pytest.mark.parametrize(("speed", "is_near"), [(0.0, False), (0.099, False), (0.101, True)])
+def test_vehicles_that_hardly_move_to_each_other_never_touch(speed, is_near):
+    found = [ClosestApproach.of(driven([0.0] * 4, [x, 0.0, 0.0, -speed])) for x in (3.0, 5.0)]
+    assert [one is not None for one in found] == [is_near, is_near]
+
+
+def test_the_nearest_is_the_first_vehicle_of_the_first_frame_with_the_least_time():
+    rows = np.tile([0.0, 0.0, 0.0, 10.0], (3, 1))
+    npcs = [np.array([[x, 0.0, 0.0, 0.0] for x in places]) for places in ((30, 20, 20), (30, 20, 20), (30, 30, 21))]
+    assert ClosestApproach.of(driven(rows, *npcs)) == ClosestApproach(pytest.approx((20 - 4.92) / 10), 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("own", "npc", "kinds"),
+    [
+        (0.0, 3.99, (0, 0)),
+        (0.0, 4.0, (1, 0)),
+        (0.0, 9.99, (1, 0)),
+        (0.0, 10.0, (2, 0)),
+        (5.99, 5.99, (0, 0)),
+        (6.0, 6.0, (0, 1)),
+        (13.99, 13.99, (0, 1)),
+        (14.0, 14.0, (0, 2)),
+        (21.99, 21.99, (0, 2)),
+        (22.0, 22.0, (0, 3)),
+        (8.0, -1.9, (1, 1)),
+    ],
+)
+def test_a_niche_has_kinds_of_speeds_with_their_lower_bounds(own, npc, kinds):
+    trace = driven([0.0, 0.0, 0.0, own], [30.0, 0.0, 0.0, npc])
+    assert ClosestApproach(1.0, 0, 1).niche(trace) == ("going-straight", "leading", 0, *kinds)
+
+
+def test_a_niche_is_told_alike_wherever_the_ego_heads():
+    """Only left and right differ in the mirror, and sectors are counted to the right."""
+    trace = driven([0.0, 0.0, 0.3, 15.0], [20.0, 30.0, -1.6, 9.0], actions=[[0.6, -1.4]], action_frame=[0])
+    for seen, changed in views(trace):
+        sector = 1 if changed is str else 7
+        words = [changed(word) for word in ("going-straight", "crossing-from-right")]
+        assert ClosestApproach(1.0, 0, 1).niche(seen) == (*words, sector, 2, 2, 1, -1)
+
+
+def test_an_execution_is_as_near_as_its_closest_approach():
+    near = driven([0.0, 0.0, 0.0, 10.0], [34.92, 0.0, 0.0, 0.0], destination=[0.0, 0.0])
+    apart = driven([0.0, 0.0, 0.0, 10.0], [34.92, 9.0, 0.0, 0.0], destination=[0.0, 0.0])
+    niche = ("going-straight", "leading", 0, 2, 1)
+    assert Nearness.of(near, judge(near)) == (pytest.approx(3.0), niche)
+    assert Nearness.of(apart, judge(apart)) == (5.0, None)
+    missed = replace(near, destination=np.array([99.0, 0.0]))
+    kind = "R3/going-straight/ended-by-timeout/nobody-ahead"
+    assert Nearness.of(missed, judge(missed)) == (pytest.approx(3.0), (kind,))
+    assert Nearness.of(apart, Verdict({}, ("error",))) == (5.0, ("error",))
+    struck = driven([0.0, 0.0, 0.0, 10.0], [3.0, 0.0, 0.0, 0.0], end="collision")
+    assert Nearness.of(struck, judge(struck)) == (0.0, niche)
+
+
+def test_what_another_process_has_computed_is_taken():
+    known = {**known_nearness(1.5, ["a", 2]), "end": "timeout"}
+    trace = driven([0.0] * 4)
+    vars(trace).update(known)
+    assert Nearness.of(trace, judge(trace)) == (1.5, ("a", 2))
+    assert known_nearness(5.0, None)["_nearness"] == (5.0, None)
+
+
+def test_the_moment_before_a_contact_is_that_one_second_earlier_or_the_first():
+    for frames, expected in ((31, 20), (11, 0), (6, 0)):
+        rows = np.zeros((frames, 4))
+        trace = driven(rows, rows + [3.0, 0.0, 0.0, 0.0], end="collision")
+        assert ClosestApproach.of(trace) == ClosestApproach(0.0, expected, 1)
+        elsewhere = driven(rows, rows + [9.0, 0.0, 0.0, 0.0], end="collision")  # with nothing that stands there
+        assert ClosestApproach.of(elsewhere) is None

@@ -21,6 +21,45 @@ def test_the_formulas_by_hand():
     assert several.unseen_low < several.unseen < several.unseen_high
 
 
+@pytest.mark.parametrize(
+    ("seen", "executions", "unseen", "variance"),
+    [
+        # f1 = 3, f2 = 1, A = 0.99: A 3 2 / (2 2), and the terms of Chao 1987
+        ((2, 1, 1, 1), 100, 1.485, 1.485 + 0.9801 * 3 * 25 / 16 + 0.9801 * 9 * 1 * 4 / 64),
+        # f1 = 2, f2 = 2, A = 0.9
+        ((2, 2, 1, 1, 5), 10, 0.3, 0.3 + 0.81 * 2 * 9 / 36 + 0.81 * 4 * 2 * 1 / 324),
+        # f1 = 3, f2 = 0, A = 0.95: without classes seen twice, less A^2 f1^4 / (4 S)
+        ((4, 1, 1, 1), 20, 2.85, 2.85 + 0.9025 * 3 * 25 / 4 - 0.9025 * 81 / (4 * 6.85)),
+    ],
+)
+def test_the_interval_of_unseen_classes_is_that_of_chao(seen, executions, unseen, variance):
+    """The logarithm of the estimate is about normally distributed."""
+    classes = [str(number) for number, count in enumerate(seen) for _ in range(count)]
+    spread = math.exp(1.96 * math.sqrt(math.log(1 + variance / unseen**2)))
+    found = Discovery.of(classes, executions)
+    assert (found.found, found.once) == (len(seen), seen.count(1))
+    assert found.unseen == pytest.approx(unseen)
+    assert (found.unseen_low, found.unseen_high) == pytest.approx((unseen / spread, unseen * spread))
+
+
+def test_one_class_seen_once_may_hide_others():
+    """f1 = 1, f2 = 0: no estimate, but a variance of A^2 / 4 - A^2 / (4 S); with f2 = 1, of A^2 / 16."""
+    assert Discovery.of(["a", "b", "b", "b"], 10).unseen_high == pytest.approx(1.96 * 0.9 * math.sqrt(1 / 4 - 1 / 8))
+    assert Discovery.of(["a", "b", "b"], 10).unseen_high == pytest.approx(1.96 * 0.9 / 4)
+    assert Discovery.of(["a"], 1) == Discovery(1, 1, 1.0, 0.0, 0.0, 0.0, 1)
+
+
+def test_limits_are_exact_quantiles():
+    """Of a Poisson mean by its definition: as few are seen with a probability of 0.5 %; and of coin tosses."""
+    for once in (0, 1, 4):
+        found = Discovery(1000, 9, 0.0, 0.0, 0.0, 0.0, once)
+        mean = found.new_chance_limit * 1000
+        assert sum(math.exp(-mean) * mean**k / math.factorial(k) for k in range(once + 1)) == pytest.approx(0.005)
+        # at most k heads before the tail number once + 1
+        below = [sum(math.comb(j + once, j) * 0.5 ** (j + once + 1) for j in range(k + 1)) for k in range(40)]
+        assert found.next_limit == next(k for k in range(40) if below[k] >= 0.95)
+
+
 def test_nothing_found_or_everything_often_leaves_nothing():
     assert Discovery.of([], 50) == Discovery(50, 0, 0.0, 0.0, 0.0, 0.0)
     assert Discovery.of(["a"] * 9 + ["b"] * 4, 50) == Discovery(50, 2, 0.0, 0.0, 0.0, 0.0, 0)

@@ -1,10 +1,13 @@
 """Whose fault a contact was, on traces made by hand: the ego drives along the x axis."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from behavexplor.data.trace import Trace
-from behavexplor.judge.fault import contact_fault
+from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault, own_violations
+from tests.judge.traces import CAR, driven, views
 
 STEP = 0.1
 SIZE = np.array([[4.7, 2.06], [4.57, 2.08]])
@@ -99,3 +102,95 @@ def test_the_ego_alone_has_no_contact():
     motion = {name: getattr(alone, name)[:, :1] for name in ("position", "heading", "velocity")}
     rest = {"size": SIZE[:1], "illegal_lines": alone.illegal_lines, "end": "arrived"}
     assert contact_fault(Trace(**fields, **motion, **rest)) is None
+
+
+@pytest.mark.parametrize(
+    ("fault", "at_fault"),
+    [
+        (None, True),
+        ("other", True),
+        ("ego_cut_in", True),
+        ("npc_wreck", True),
+        ("preventable", True),
+        ("npc_rear_end", False),
+        ("struck_stationary", False),
+        ("unpreventable", False),
+    ],
+)
+def test_a_driver_is_at_fault_unless_another_is(fault, at_fault):
+    assert is_at_fault(fault) == at_fault
+
+
+def test_a_collision_by_another_takes_the_missed_destination_with_it():
+    violated = ("collision", "lines", "destination", "mine")
+    struck, cut_in = trace(5.0, BEHIND, 9.0), trace(5.0, BEHIND, 9.0, swerve=0.5)
+    assert own_violations(struck, violated) == ("lines", "mine")
+    assert own_violations(cut_in, violated) == violated
+    assert own_violations(trace(5.0, (50.0, 9.0), 9.0), ("destination",)) == ("destination",)
+    assert collision_fault(struck, violated) == "npc_rear_end"
+    assert collision_fault(struck, ("lines", "collision")) is collision_fault(struck, ()) is None
+
+
+def contact(ego=(0.0, 0.0, 0.0, 5.0), npc=(-3.5, 0.0, 0.0, 9.0), frames=2, **fields):
+    """A contact of an ego of 4 m times 2 m and an NPC of 6 m times 2 m that are as given in each frame."""
+    rows = np.tile(ego, (frames, 1)), np.tile(npc, (frames, 1))
+    return driven(*rows, sizes=[CAR, (6.0, 2.0)], end="collision", **fields)
+
+
+@pytest.mark.parametrize(
+    ("ego_speed", "npc", "verdict"),
+    [
+        (5.0, (-2.1, 0.0, 0.0, 9.0), "npc_rear_end"),
+        (5.0, (-2.0, 0.0, 0.0, 9.0), "other"),  # beside
+        (5.0, (-3.5, 0.0, 0.0, 5.1), "npc_rear_end"),
+        (5.0, (-3.5, 0.0, 0.0, 5.0), "other"),  # no faster
+        (5.0, (-3.5, 0.0, 0.79, 9.0), "npc_rear_end"),
+        (5.0, (-3.5, 0.0, 0.8, 9.0), "other"),
+        (5.0, (-3.5, 0.0, -0.81, 9.0), "other"),
+        (0.29, (2.0, 0.0, 0.0, 0.0), "struck_stationary"),
+        (0.3, (2.0, 0.0, 0.0, 0.0), "other"),
+    ],
+)
+def test_who_struck_whom_by_place_heading_and_speed(ego_speed, npc, verdict):
+    found = contact((0.0, 0.0, 0.0, ego_speed), npc)
+    assert contact_fault(found) == verdict
+    is_on_a_bound = npc[0] == -2.0 or npc[2] == 0.8 or ego_speed in (0.3, npc[3])
+    for seen, _ in views(found) if not is_on_a_bound else ():
+        assert contact_fault(seen) == verdict
+
+
+def test_the_poses_of_the_last_frame_tell_who_struck_whom():
+    """An NPC that came from the front, stopped, and turned before it struck."""
+    npc = np.array([[9.0, 5.0, 3.0, 1.0], [5.0, 5.0, 2.0, 1.0], [-2.5, 3.0, 1.0, 1.0], [-3.5, 0.0, 0.0, 9.0]])
+    struck = driven(np.tile([0.0, 0.0, 0.0, 5.0], (4, 1)), npc, end="collision")
+    assert contact_fault(struck) == "npc_rear_end"
+
+
+@pytest.mark.parametrize(
+    ("across", "left", "verdict"),
+    [
+        (0.29, 0.0, "npc_rear_end"),
+        (0.31, 0.0, "ego_cut_in"),
+        (0.31, 2.9, "ego_cut_in"),
+        (0.31, 3.0, "ego_cut_in"),
+        (9.0, 3.1, "npc_rear_end"),
+    ],
+)
+def test_a_cut_in_is_a_motion_across_the_route_in_the_last_three_seconds(across, left, verdict):
+    """Across the route, whatever the ego's heading; once, so many seconds before the end."""
+    found = contact(frames=41)
+    velocity = found.velocity.copy()
+    velocity[40 - round(10 * left), 0, 1] = across
+    found = replace(found, velocity=velocity)
+    assert contact_fault(found) == verdict
+    for seen, _ in views(found):
+        assert contact_fault(seen) == verdict
+
+
+def test_in_an_environment_with_lanes_the_partner_is_told_and_the_frame_before_the_crash_counts():
+    way = {"way": np.zeros(3), "changing_lanes": np.zeros(3)}
+    ego, npc = np.tile([0.0, 0.0, 0.0, 5.0], (3, 1)), np.tile([-9.0, 0.0, 0.0, 9.0], (3, 1))
+    npc[-1, 2:] = 2.0, 0.0  # turned and stopped by the crash
+    assert contact_fault(driven(ego, npc, signals=way, partner=1)) == "npc_rear_end"
+    assert contact_fault(driven(ego, npc, signals=way, partner=-1)) is None
+    assert contact_fault(driven(ego[:1], npc[:1], signals={name: [0.0] for name in way}, partner=1)) == "npc_rear_end"

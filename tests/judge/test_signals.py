@@ -6,6 +6,7 @@ import pytest
 from behavexplor.judge.signals import acceleration, gap_ahead, speed
 from behavexplor.judge.specs import NOTHING_NEAR
 from tests.fakes import make_trace
+from tests.judge.traces import driven, views
 
 EGO = (4.70, 2.06)
 CAR = (4.0, 2.0)
@@ -98,3 +99,34 @@ def test_the_corridor_follows_a_curve():
 
 def test_nobody_ahead_has_a_finite_gap():
     assert gaps([STILL] * 3).tolist() == [NOTHING_NEAR] * 3
+
+
+@pytest.mark.parametrize(
+    ("place", "gap"),
+    [
+        ((0.5, 0.0, 0.0), 0.0),
+        ((0.0, 0.0, 0.0), NOTHING_NEAR),  # not ahead
+        ((9.0, 2.0, 0.0), NOTHING_NEAR),  # its side is just at the corridor's
+        ((9.0, -2.5, 0.6), 9.0 - 2.0 - 2 * np.cos(0.6) - np.sin(0.6)),
+        ((9.0, 2.5, 0.6), 9.0 - 2.0 - 2 * np.cos(0.6) - np.sin(0.6)),
+        ((1010.0, 0.0, 0.0), NOTHING_NEAR),
+    ],
+)
+def test_gap_between_cars_at_bounds_and_turned(place, gap):
+    trace = driven([0.0, 0.0, 0.0, 5.0], [*place, 0.0])
+    assert gap_ahead(trace) == pytest.approx([gap])
+    is_on_a_bound = place[0] == 0.0 or place[1] == 2.0
+    for seen, _ in views(trace) if not is_on_a_bound else ():
+        assert gap_ahead(seen) == pytest.approx([gap])
+
+
+def test_signals_are_alike_wherever_the_ego_heads():
+    """An ego that brakes from 9 m/s to 5 m/s, drifts, and comes nearer to a vehicle that goes at 2 m/s."""
+    rows = [[0.0, 0.0, 0.1, 9.0], [1.0, 0.1, 0.2, 8.0], [2.5, 0.3, 0.2, 5.0]]
+    npc = [[20.0, 0.5, 0.0, 2.0], [20.4, 0.5, 0.0, 2.0], [21.0, 0.5, 0.0, 2.0]]
+    trace = driven(rows, npc, time=[0.0, 0.2, 0.5])
+    for seen, _ in views(trace):
+        assert speed(seen) == pytest.approx([9.0, 8.0, 5.0])
+        assert acceleration(seen) == pytest.approx([-5.0, -10.0, -10.0])
+        reach = [2 * np.cos(angle) + np.sin(angle) + 2.0 for angle in (0.1, 0.2, 0.2)]
+        assert gap_ahead(seen) == pytest.approx(np.array([20.0, 19.4, 18.5]) - reach)

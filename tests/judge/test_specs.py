@@ -18,9 +18,12 @@ from behavexplor.judge.specs import (
     Verdict,
     _least,
     default_specs,
+    final_distance,
     judge,
+    poses_until_arrival,
 )
 from tests.fakes import make_trace, simulate
+from tests.judge.traces import driven, turned, views
 
 LOGICAL = IntersectionStraightEnv.logical
 
@@ -226,3 +229,103 @@ class Broken:
 def test_a_bad_spec_is_refused(specs, message):
     with pytest.raises(InputError, match=message):
         judge(make_trace(STILL), specs)
+
+
+def told(place=(60.0, 0.0), line=5.0, **signals):
+    """A trace of an environment that tells what happened: a vehicle and a line beside an ego at the origin."""
+    lines = np.array([[[-9.0, line], [9.0, line]]])
+    values = {name: np.array([0.0, float(value), 0.0]) for name, value in signals.items()}
+    ego, npc = np.zeros((3, 4)), np.tile([*place, 0.0, 0.0], (3, 1))
+    return driven(ego, npc, signals=values, illegal_lines=lines, destination=[5.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("spec", "trace", "degree", "violated"),
+    [
+        (Collision(), told(crashed=True), 0.0, True),
+        (Collision(), told(crashed=False), 56.0, False),
+        (Collision(), told((3.0, 0.0), crashed=False), 1e-9, False),  # boxes that overlap without a crash
+        (Collision(), told((3.0, 0.0), way=False), 0.0, True),
+        (Collision(), told((3.0, 0.0)), 0.0, True),
+        (Lines(), told(off_road=True), 0.0, True),
+        (Lines(), told(off_road=False), 4.0, False),
+        (Lines(), told(line=1.0, off_road=False), 0.0, False),
+        (Lines(), told(line=1.0, way=False), 0.0, True),
+        (Destination(), told(arrived=True), 10.0, False),
+        (Destination(), told(arrived=False), 0.0, True),
+        (Destination(), told(way=True), 10.0, False),  # there is none
+        (Destination(), told(), 5.0, True),
+        (Destination(reach=7.0), told(arrived=True), 7.0, False),
+    ],
+)
+def test_what_an_environment_tells_goes_before_what_the_boxes_do(spec, trace, degree, violated):
+    assert spec.degree(trace) == pytest.approx(degree, rel=1e-12, abs=0)
+    assert spec.violated(trace) == violated
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "distance"),
+    [
+        ((-3.0, 0.5), (-0.5, 0.5), 0.5),  # 0.5 m further on
+        ((-3.0, 0.5), (0.5, 0.5), 0.5),
+        ((-3.0, 0.8), (-2.0, 0.8), np.hypot(1.0, 0.8)),  # it reaches 1 m beyond
+        ((0.3, 0.4), (2.0, 0.4), 0.5),  # it came from behind
+        ((3.0, -0.6), (0.2, -0.6), 0.6),
+        ((0.3, 0.4), (0.3, 0.4), 0.5),
+    ],
+)
+def test_an_arrival_counts_by_its_course_and_a_meter_beyond(first, last, distance):
+    """The ego goes from the first place to the last, and on; the destination is the origin."""
+    arrived = driven([(9.0, 9.0, 0, 0), (*first, 0, 0), (*last, 0, 0)], end="arrived", destination=[0.0, 0.0])
+    for seen, _ in views(arrived):
+        assert final_distance(seen) == pytest.approx(distance)
+        assert Destination().degree(seen) == pytest.approx(10.0 - distance)
+        assert Destination().violated(seen) == (distance > 1.0)
+    other = driven([(9.0, 9.0, 0, 0), (*last, 0, 0)], destination=[0.0, 0.0])
+    assert final_distance(other) == pytest.approx(np.hypot(*last))
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "share"),
+    [
+        ((-3.0, 0.0), (0.0, 0.0), 2 / 3),
+        ((-3.0, 0.6), (-0.8, 0.6), 1.0),
+        ((-3.0, 0.6), (0.0, 0.6), 2.2 / 3),
+        ((-0.5, 0.0), (0.5, 0.0), 0.0),  # it was there before
+        ((0.0, -2.0), (0.0, -1.5), 1.0),  # it never was
+        ((0.5, 0.5), (0.5, 0.5), 1.0),
+    ],
+)
+def test_all_vehicles_stop_at_the_moment_of_arrival(first, last, share):
+    """Places, and headings that turn the short way across pi, are those of that share of the last step."""
+    ego = [(9.0, 9.0, 3.0, 0.0), (*first, 3.0, 0.0), (*last, -3.0, 0.0)]
+    npc = [(20.0, 0.0, 0.0, 0.0), (20.0, 4.0, -3.1, 0.0), (30.0, 4.0, 3.0, 0.0)]
+    arrived = driven(ego, npc, end="arrived", destination=[0.0, 0.0])
+    turn = 2 * np.pi - 6
+    for angle in (0.0, 0.7):
+        seen = turned(arrived, angle)
+        position, heading = poses_until_arrival(seen)
+        between = (1 - share) * seen.position[1] + share * seen.position[2]
+        assert position == pytest.approx(np.stack([*seen.position[:2], between]), abs=1e-8)
+        expected = np.array([3.0 + share * turn, -3.1 - share * (2 * np.pi - 6.1)]) + angle
+        assert np.exp(1j * heading[-1]) == pytest.approx(np.exp(1j * expected), abs=1e-8)
+        assert (heading[:-1] == seen.heading[:-1]).all()
+        assert not position.flags.writeable
+        assert not heading.flags.writeable
+
+
+@pytest.mark.parametrize(("gap", "degree"), [(2e-9, 2e-9), (1e-9, 0.0), (0.5e-9, 0.0)])
+def test_a_gap_at_the_resolution_of_a_trace_is_none(gap, degree):
+    assert _least(np.array([gap]), gap, lambda _: np.array([gap])) == degree
+
+
+def test_verdicts_of_users_specs_are_in_their_order():
+    found = judge(make_trace(STILL), [Broken("b", 3.0), Broken("a", 4.5), *SPECS])
+    assert list(found.degrees) == ["b", "a", "collision", "lines", "destination"]
+    assert found.degree == 3.0 + 4.5 + 1000.0 + 1000.0 + 10.0
+
+
+@pytest.mark.parametrize("kind", [Collision, Lines, Destination])
+def test_the_papers_specs_keep_their_names(kind):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'name'"):
+        kind(name="mine")

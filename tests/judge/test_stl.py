@@ -280,6 +280,7 @@ def test_the_closed_until_of_donze_and_maler_is_a_formula_too(at, interval):
         pytest.param([0, 1, 1], [1, 2, 3], "time: must be finite and increase", id="time stands"),
         pytest.param([0, 2, 1], [1, 2, 3], "time: must be finite and increase", id="time goes back"),
         pytest.param([0, 1e-10], [1, 2], "time: must be finite and increase by more than 1e-09", id="too close"),
+        pytest.param([0, 1e-9], [1, 2], "time: must be finite and increase by more than 1e-09", id="just too close"),
         pytest.param([0, math.nan], [1, 2], "time: must be finite", id="NaN in time"),
         pytest.param([0, INF], [1, 2], "time: must be finite", id="endless time"),
         pytest.param([], [], "time: expected one number for each of T >= 1 samples", id="no sample"),
@@ -329,6 +330,12 @@ def test_a_bad_interval_is_refused(name, start, end, message):
 def test_what_does_not_fit_is_refused(name, other, message):
     with pytest.raises(InputError, match=message):
         OPERATORS[name](LEFT, other)
+
+
+@pytest.mark.parametrize("operator_", [implies, until])
+def test_an_array_is_no_condition(operator_):
+    with pytest.raises(InputError, match="Expected a Signal"):
+        operator_(np.ones(5), LEFT)
 
 
 @pytest.mark.parametrize("operator_", [always, eventually])
