@@ -10,7 +10,7 @@ from behavexplor.judge.lanes import (
     had_crashed,
     has_entered_ring,
     has_other_names,
-    is_told_by_lanes,
+    has_lane_signals,
     lane_change,
     maneuver,
     relation,
@@ -51,7 +51,7 @@ def lanes(way=None, changes=None, where=ELSEWHERE, lane=0, npcs=((60.0, 0.0, 0.0
 def test_only_a_trace_that_says_its_lanes_is_told_by_them():
     plain, told = driven(np.zeros((3, 4))), lanes()
     old = driven(np.zeros((3, 4)), signals={"crashed": np.zeros(3)})
-    assert [is_told_by_lanes(one) for one in (plain, told, old)] == [False, True, False]
+    assert [has_lane_signals(one) for one in (plain, told, old)] == [False, True, False]
     assert [has_other_names(one) for one in (plain, told, old)] == [False, False, True]
 
 
