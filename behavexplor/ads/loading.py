@@ -1,4 +1,4 @@
-"""Load driving systems under test by name: of this package, from files or modules, or functions as drivers."""
+"""Load driving systems under test by name, and make drivers of plain functions."""
 
 import inspect
 from collections.abc import Callable, Collection, Mapping
@@ -15,6 +15,7 @@ from behavexplor.ads.learned.network_file import Rule, read_network
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import WEIGHTS, Description, describe, find_model, is_policy
 from behavexplor.data.array_types import Array, Bools
+from behavexplor.data.drawn_scenario import DECLARATIONS
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.target import Activation
@@ -31,7 +32,6 @@ SYSTEMS = MappingProxyType(
 )
 _ON_ROUTES = ("rule", "learned", "idm")  # systems that follow a route on the roads of this package
 IN_MEMORY = "in-memory"  # in place of the module, in the name of a driver that existed in one process only
-DECLARED: Final = ("observation", "action", "policy_frequency", "simulation_frequency", "env_config")
 _BY_POSITION: Final = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 _VARIADIC: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
@@ -150,16 +150,16 @@ def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection
     from behavexplor.ads.sb3.dense_layers import trained_network  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.policy import load_network  # noqa: PLC0415
 
-    network = load_network(read_archive(model), trust)
     roads = _roads_for(f"{model}, a network of `train`,", roadmap)
+    network = load_network(read_archive(model), trust)
     return LearnedDriver(roads, trained_network(network, rule))
 
 
 class FunctionDriver:
     """A function from one observation to one action, which drives one episode at a time.
 
-    Attributes of the function that declare its observations and actions (`DECLARED`) are those of the driver. Without
-    them, it observes and acts as the environment does by default.
+    Attributes of the function that declare its observations and actions (`DECLARATIONS`) are those of the driver.
+    Without them, it observes and acts as the environment does by default.
     """
 
     vectorized = False
@@ -167,7 +167,7 @@ class FunctionDriver:
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
         self._function = function
-        for name in DECLARED:
+        for name in DECLARATIONS:
             if hasattr(function, name):
                 setattr(self, name, getattr(function, name))
 
@@ -212,7 +212,10 @@ def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
 
 
 def as_driver(found: Any) -> ADS | None:
-    """Return an object with a `predict` method itself, a function of one observation as a driver; None for the rest."""
+    """Return an object with a `predict` method as it is, and a function of one observation as a driver.
+
+    None is for anything else, such as a class.
+    """
     if isinstance(found, type):
         return None
     try:

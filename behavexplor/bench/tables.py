@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from operator import attrgetter
 from typing import Final
 
 from behavexplor.bench.comparisons import EqualTime, comparisons, in_equal_time, joint_comparisons
@@ -36,8 +35,8 @@ RARITY: Final = (
 
 
 def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
-    """Return all tables of an experiment; the summaries are those of its finished campaigns."""
-    made = [violations("violations", "Violations found", experiment, summaries, tuple(experiment.methods))]
+    """Return the tables of an experiment that have rows; the summaries are those of its finished campaigns."""
+    made = [violations("violations", "Violations found", experiment, summaries, ())]
     cut = in_equal_time(experiment, summaries)
     if cut:
         made.append(violations_in_equal_time(experiment, cut))
@@ -71,7 +70,10 @@ def violations(
 
 def violations_in_equal_time(experiment: Experiment, cut: EqualTime) -> Table:
     """Return the table of violations that each method found in the same time."""
-    columns: list[tuple[Column, Figure]] = [(Column("Executions"), attrgetter("executions")), *_found(cut.summaries)]
+    columns: list[tuple[Column, Figure]] = [
+        (Column("Executions"), lambda summary: summary.executions),
+        *_found(cut.summaries),
+    ]
     notes = (
         "Question: which method finds most in the same time, as the paper compares them, instead of in the same number "
         "of executions?",
@@ -90,7 +92,7 @@ def _found(summaries: Sequence[Summary]) -> list[tuple[Column, Figure]]:
     columns += [
         *((Column(label), total(label)) for label in _labels(summaries)),
         (Column("Sum", interval=True, best=True), total(None)),
-        (Column("R1 by NPC"), attrgetter("npc_caused")),
+        (Column("R1 by NPC"), lambda summary: summary.npc_caused),
     ]
     if all_classified(summaries):
         columns += [(Column(f"Unique {label}"), unique(label)) for label in _labels(summaries)]
@@ -118,7 +120,10 @@ def _means(
     columns: Sequence[tuple[Column, Figure]],
     methods: Sequence[str] = (),
 ) -> Table:
-    """Return a table with a row for each method in each environment, and the means of the figures in its columns."""
+    """Return a table with a row for each method in each environment, and the means of the figures in its columns.
+
+    The methods are all of the experiment if none is given.
+    """
 
     def cells(found: Sequence[Summary]) -> tuple[Value, ...]:
         return (len(found), *(mean(found, figure) for _, figure in columns))
@@ -174,7 +179,8 @@ def times(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
         found = [s for s in summaries if s.method == method and not math.isnan(s.executing + s.analysing)]
         if not found:
             continue
-        executing, analysing = (estimate([getattr(s, name) for s in found]) for name in ("executing", "analysing"))
+        executing = estimate([s.executing for s in found])
+        analysing = estimate([s.analysing for s in found])
         together = executing.mean + analysing.mean
         rate = sum(s.executions for s in found) / max(together * len(found), 1e-9)
         rows.append((method, len(found), executing, analysing, 100 * analysing.mean / max(together, 1e-9), rate))

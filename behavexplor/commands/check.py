@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
-from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.shared_flags import GivenActivation, HowToRun, Switch, patience
 from behavexplor.commands.wording import hanging, say
 from behavexplor.errors import sentence
@@ -56,7 +56,7 @@ def check(
     properties = {"env": suite.env, "ads": ads or suite.driver}
     write_json(json_file, {**properties, "failed": failed, "scenarios": list(map(_values, outcomes))})
     tested = [
-        Tested(one.case.name, "" if one.passed else one.words, ", ".join(one.violated), one.case.file(folder))
+        CaseResult(one.case.name, "" if one.passed else one.words, ", ".join(one.violated), one.case.file(folder))
         for one in outcomes
     ]
     write_junit(junit, suite.env, tested, properties, seconds)

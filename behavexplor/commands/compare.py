@@ -19,7 +19,7 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import say, wrapped
 from behavexplor.data.durable import write_durably
@@ -107,7 +107,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     if verdict is not None:
         say(wrapped(verdict.words), file=output)
         failure = "" if verdict.found == NON_INFERIOR else verdict.words
-        tested, properties = [Tested(f"non-inferior by {margin:g}", failure)], {"A": first, "B": second}
+        tested, properties = [CaseResult(f"non-inferior by {margin:g}", failure)], {"A": first, "B": second}
         write_junit(junit, f"compare {config.env}", tested, properties, time.monotonic() - begun)
     return _CODES[verdict.found] if verdict else OK
 

@@ -24,7 +24,7 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.rate_table import rates_table
 from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import counted, say, wrapped
@@ -122,7 +122,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     decision = found[Path(ads).name].decision
     if decision is None:
         return OK
-    tested = Tested(f"{decision.goal.outcome} below {below}", "" if decision.verdict == BELOW else decision.words)
+    tested = CaseResult(f"{decision.goal.outcome} below {below}", "" if decision.verdict == BELOW else decision.words)
     write_junit(junit, f"evaluate {config.env}", [tested], {"ads": ads}, time.monotonic() - begun)
     return _CODES[decision.verdict]
 

@@ -37,7 +37,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
-from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.shared_flags import Switch, check_unchanged, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import class_count, counted, say, wrapped
 from behavexplor.data.untrusted import read_file
@@ -170,14 +170,14 @@ def read_known_classes(path: Path | None) -> frozenset[str]:
     return frozenset(line for line in lines if line)
 
 
-def tested_classes(found: RunSummary, run: Path, checks: Checks) -> list[Tested]:
+def tested_classes(found: RunSummary, run: Path, checks: Checks) -> list[CaseResult]:
     """Return a test case of JUnit for each class of failures, which fails if the class is not known."""
     new = {one.id for one in checks.new_classes(found)}
     words = {one.id: f"{one.words}: {one.count} times, first in execution {one.first}" for one in found.classes}
     return [
-        Tested(one.id, words[one.id] if one.id in new else "", file=failure_path(run, one.first))
+        CaseResult(one.id, words[one.id] if one.id in new else "", file=failure_path(run, one.first))
         for one in found.classes
-    ] or [Tested("no failures")]
+    ] or [CaseResult("no failures")]
 
 
 _WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."

@@ -24,7 +24,7 @@ from behavexplor.commands import OK, program
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
 from behavexplor.commands.shared_flags import GivenActivation, Trust, read_env_config
 from behavexplor.commands.wording import counted, hanging, say
-from behavexplor.data.drawn_scenario import DECLARED
+from behavexplor.data.drawn_scenario import DECLARATIONS
 from behavexplor.data.untrusted import read_file
 from behavexplor.envs.making import highway_ids
 from behavexplor.errors import InputError, sentence, unknown_name
@@ -119,7 +119,7 @@ def _place(seen: dict[str, Any], refused: list[str]) -> dict[str, Any]:
     """Return where a policy drives."""
     fits = [env for env in seen if env]
     if fits:
-        is_said = any(hasattr(seen[fits[0]], key) for key in (*DECLARED, "env_config"))
+        is_said = any(hasattr(seen[fits[0]], key) for key in DECLARATIONS)
         how = "as the files beside it configure them" if is_said else "in their own configurations"
         return {**_spaces(seen[fits[0]]), "drives in": f"{', '.join(fits)}, {how}", "fits": fits}
     if refused:

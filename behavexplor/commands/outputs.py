@@ -13,26 +13,25 @@ from junitparser import Attr, Failure, JUnitXml, TestCase, TestSuite
 from behavexplor.data.durable import check_given, write_given
 from behavexplor.errors import InputError
 
-STANDARD: Final = Path("-")  # standard output
+STDOUT: Final = Path("-")  # in place of a file: standard output
 JsonFile = Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")]
 JUnitFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 
 
 def check_outputs(*paths: Path | None) -> TextIO:
-    """Check that files can be written, and return where everything else is to be printed.
+    """Check that files can be written, and return the stream for everything else that is printed.
 
-    That is standard error if a file is `STANDARD`, standard output, which then has nothing else; or else standard
-    output.
+    That is standard output; but standard error if one of the files is standard output, which then has nothing else.
 
     Raises:
         InputError: if a file cannot be written, or two of them are standard output.
     """
     for path in paths:
-        if path not in (None, STANDARD):
+        if path not in (None, STDOUT):
             _check(path)
-    if paths.count(STANDARD) > 1:
+    if paths.count(STDOUT) > 1:
         raise InputError("Two outputs cannot both be '-', which is standard output: name a file for one")
-    return sys.stderr if STANDARD in paths else sys.stdout
+    return sys.stderr if STDOUT in paths else sys.stdout
 
 
 def _check(path: Path) -> None:
@@ -55,7 +54,7 @@ def write_json(path: Path | None, values: Any) -> None:
     _write(path, json.dumps(values, indent=1) + "\n")
 
 
-class Tested(NamedTuple):
+class CaseResult(NamedTuple):
     """A test case of JUnit."""
 
     name: str  # its name
@@ -69,37 +68,39 @@ class _Case(TestCase):
 
 
 def write_junit(
-    path: Path | None, suite: str, tested: Sequence[Tested], properties: Mapping[str, str], seconds: float
+    path: Path | None, suite: str, results: Sequence[CaseResult], properties: Mapping[str, str], seconds: float
 ) -> None:
     """Write test cases as JUnit XML, which CI systems show, if there is a file for them.
 
-    They took `seconds` together. Scenarios are driven at the same time, so the time of one of several is not known.
+    `suite` is also the `classname` of each case. They took `seconds` together. Scenarios are driven at the same time,
+    so the time of one of several is not known.
 
     Raises:
         InputError: if it cannot be written.
     """
     if path is None:
         return
-    made = TestSuite(f"behavexplor {suite}")
+    element = TestSuite(f"behavexplor {suite}")
     time = round(seconds, 3)
     for name, value in properties.items():
-        made.add_property(name, value)
-    for one in tested:
-        case = _Case(one.name, classname=suite, time=time if len(tested) == 1 else None)
-        if one.file is not None:
-            case.file = str(one.file)
-        if one.failure:
-            case.result = [Failure(one.failure, one.kind)]
-        made.add_testcase(case)
-    made.time = time  # after the cases, whose times junitparser would add up
-    document, written = JUnitXml(), io.BytesIO()
-    document.add_testsuite(made)
+        element.add_property(name, value)
+    for result in results:
+        case = _Case(result.name, classname=suite, time=time if len(results) == 1 else None)
+        if result.file is not None:
+            case.file = str(result.file)
+        if result.failure:
+            case.result = [Failure(result.failure, result.kind)]
+        element.add_testcase(case)
+    element.time = time  # after the cases, whose times junitparser would add up
+    document = JUnitXml()
+    document.add_testsuite(element)
+    written = io.BytesIO()
     document.write(written, pretty=True)
     _write(path, written.getvalue().decode())
 
 
 def _write(path: Path | None, text: str) -> None:
-    if path == STANDARD:
+    if path == STDOUT:
         sys.stdout.write(text)
         return
     try:

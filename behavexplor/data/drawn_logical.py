@@ -1,6 +1,7 @@
 """Logical scenarios of highway-env environments: all the draws that an environment can make in one configuration."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -40,7 +41,8 @@ class Draw:
 class DrawnLogicalScenario:
     """The draws of a highway-env environment; see `behavexplor.data.scenario.LogicalScenario`.
 
-    A draw that is not among `draws`, because it is rarely made, is made from the scenario's seed.
+    The standard form of a draw is a number in [0, 1) or a standard normal number, by its kind. A draw that is not among
+    `draws`, because it is rarely made, is made from the scenario's seed.
     """
 
     setup: Setup  # the environment and its configuration
@@ -110,22 +112,24 @@ class DrawnLogicalScenario:
         return self.scenario(int(rng.integers(SEEDS)), self._fresh(rng))
 
     def pass_over(self, rng: np.random.Generator) -> None:
-        """Take the random numbers of a scenario, as `sample` does."""
+        """Advance the generator as `sample` does, without making a scenario."""
         rng.integers(SEEDS)
-        self._both_kinds(rng)
+        self._fresh(rng)
 
     def scenario(self, seed: int, forms: Floats) -> DrawnScenario:
         """Return the scenario with the given standard forms of its draws, shape (n_draws,)."""
-        names, places = self._places
-        values = map(tuple, map(forms.tolist().__getitem__, places))
-        return DrawnScenario(self.setup, seed, tuple(zip(names, values, strict=True)))
+        values = forms.tolist()
+        return DrawnScenario(self.setup, seed, tuple((name, tuple(values[place])) for name, place in self._places))
 
     @cached_property
-    def _places(self) -> tuple[tuple[str, ...], tuple[slice, ...]]:
-        """The names of the draws in their order, and where the draws of each name are."""
-        names = [draw.name for draw in self.draws]
-        known = tuple(sorted(set(names)))
-        return known, tuple(slice(at := names.index(name), at + names.count(name)) for name in known)
+    def _places(self) -> tuple[tuple[str, slice], ...]:
+        """The names of the draws in their order, each with the slice of `draws` that has it."""
+        places = []
+        begin = 0
+        for name, count in Counter(draw.name for draw in self.draws).items():
+            places.append((name, slice(begin, begin + count)))
+            begin += count
+        return tuple(places)
 
     def forms(self, scenario: DrawnScenario) -> Floats:
         """Return the standard forms of a scenario's draws, shape (n_draws,), at their median where it has none."""
@@ -190,11 +194,8 @@ class DrawnLogicalScenario:
         return np.array([draw.kind == NORMAL for draw in self.draws], dtype=bool)
 
     def _fresh(self, rng: np.random.Generator) -> Floats:
-        return np.where(self._is_normal, *self._both_kinds(rng))
-
-    def _both_kinds(self, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """Return a normal and a uniform form for each draw."""
-        return rng.standard_normal(len(self.draws)), rng.random(len(self.draws))
+        n = len(self.draws)
+        return np.where(self._is_normal, rng.standard_normal(n), rng.random(n))
 
     def first_frame(self, scenario: DrawnScenario, end: str) -> Trace:  # noqa: ARG002 - the draws do not tell the place
         """Return the trace of an episode that ended before any vehicle moved.

@@ -21,6 +21,7 @@ DEFAULT: Final = "default"
 WIDE: Final = "wide"
 TRAFFIC: Final = (DEFAULT, WIDE)
 DECLARED: Final = ("observation", "action", "policy_frequency", "simulation_frequency")  # by a driver
+DECLARATIONS: Final = (*DECLARED, "env_config")  # attributes by which a driver declares what it needs
 MAX_DRAWS: Final = 20_000  # draws of one episode; highway-v0 with 50 vehicles has about 300
 MAX_SEED: Final = 2**63
 _FIELDS: Final = ("functional", "traffic", "highway-env", "config", "seed", "draws")

@@ -176,7 +176,11 @@ class Encoding(Protocol):
         ...
 
     def decode(self, vector: Floats) -> Any:
-        """Return the scenario of a vector, shape (n,). Values beyond [0, 1] are clipped."""
+        """Return the scenario of a vector, shape (n,). Values beyond [0, 1] are clipped.
+
+        Raises:
+            InputError: if the vector has another shape, or is not finite.
+        """
         ...
 
     def encode(self, scenario: Any) -> Floats:
@@ -270,7 +274,7 @@ class LogicalScenario(Protocol):
         ...
 
     def pass_over(self, rng: np.random.Generator) -> None:
-        """Take the random numbers of a scenario, as `sample` does."""
+        """Advance the generator as `sample` does, without making a scenario."""
         ...
 
     def mutate_little(self, scenario: Any, rng: np.random.Generator, noise: Noise) -> Scenario:

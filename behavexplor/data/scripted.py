@@ -336,7 +336,7 @@ class ScriptedRanges:
         return ranges
 
     def pass_over(self, rng: np.random.Generator) -> None:
-        """Take the random numbers of a scenario, as `sample` does."""
+        """Advance the generator as `sample` does, without making a scenario."""
         self.sample(rng)
 
     def sample(self, rng: np.random.Generator) -> ScriptedScenario:

@@ -82,8 +82,8 @@ def is_highway(name: str) -> bool:
     return _is_highway(made)
 
 
-def warn_of_ignored_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
-    """Warn about each key of a configuration that an environment of highway-env ignores, and return these keys.
+def check_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
+    """Check the keys of an environment of highway-env, warn about each that it ignores, and return these.
 
     Raises:
         InputError: if a key inside the observation or the action is unknown, or a number is given as a text.
@@ -207,9 +207,9 @@ def make_vector_env(
 ) -> VectorEnv[Any, Any, Any] | None:
     """Make the vector form of an environment of `make_env`, with autoreset disabled; None if it has none.
 
-    `env` comes from `make_env`; the vector form of a highway-env environment begins its episodes there. `changes`
-    replace keys of the configuration; with any, a highway-env environment has no vector form. Without `rewards`, a
-    compiled environment takes its steps faster.
+    The vector form of a highway-env environment begins its episodes in `env`, and does not exist with `changes`, which
+    replace keys of the configuration. Without `rewards`, a compiled environment takes its steps faster, and rewards are
+    0.
 
     Raises:
         InputError: if the vector form does not support the configuration.
@@ -217,8 +217,8 @@ def make_vector_env(
     if _is_highway(env):
         from behavexplor.envs.highway.drawn_vector_env import DrawnVectorEnv  # noqa: PLC0415 - slow to import
 
-        inner: Any = env
-        return None if changes else DrawnVectorEnv(inner, num_envs, rewards=rewards)
+        drawn_env: Any = env
+        return None if changes else DrawnVectorEnv(drawn_env, num_envs, rewards=rewards)
     spec = env.spec
     if spec is None or spec.vector_entry_point is None:
         return None
@@ -256,9 +256,9 @@ def _kept_classes(spec: EnvSpec) -> AbstractContextManager[None]:
 
 
 def _is_highway(made: gymnasium.Env[Any, Any]) -> bool:
+    """Return whether an environment is one of highway-env. One with a `logical` scenario has scripted vehicles."""
     from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415 - slow to import
 
-    """Return whether an environment is one of highway-env. One with a `logical` scenario has scripted vehicles."""
     inner = getattr(made.unwrapped, "inner", made.unwrapped)
     return isinstance(inner, AbstractEnv) and not hasattr(inner, "logical")
 

@@ -10,6 +10,7 @@ import os
 import re
 import socket
 import sys
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
@@ -115,9 +116,9 @@ class _Call(NamedTuple):
 class RayExecutor(Executor):
     """Calls functions of a service on the nodes of a Ray cluster. Each node has a supervised worker of its own.
 
-    For the name of the cluster, see `parse_cluster`; `nodes` 0 means one for each core. If there is room for fewer, the
-    others begin when there is room. The service must have the function "fingerprint". The driving systems of the names
-    `ads` must be equal on all machines.
+    `cluster` is a name for `parse_cluster`, `nodes` their number (0: one for each core), `recipe` and `limits` those of
+    each worker. If there is room for fewer nodes, the others begin when there is. The service must have the function
+    "fingerprint". The driving systems of the names `ads` must be equal on all machines.
 
     Raises:
         InputError: if there is no such cluster, if Ray is not installed, or if the first node to answer cannot load the
@@ -132,10 +133,11 @@ class RayExecutor(Executor):
         self._calls_at_once = 1 if recipe.long_calls else sys.maxsize  # of one actor
         self._left = False  # whether `shutdown` has been called
         self._stopped = False  # whether `stop` has been called, after which lost calls are not repeated
-        self._calls: WeakSet[Future[bytes]] = WeakSet()  # all calls; the thread owns this and the following fields
-        self._waiting: list[_Call] = []
+        # only the thread changes this and the following fields
+        self._calls: WeakSet[Future[bytes]] = WeakSet()  # all calls
+        self._waiting: deque[_Call] = deque()
         self._ready: dict[Any, set[Future[bytes]]] = {}  # the calls of each actor that has begun and is not lost
-        self._timer = Timer(BEGIN_SECONDS, self._enqueue)  # gives up if no actor is ready in time; replaced by `_begin`
+        self._timer = Timer(BEGIN_SECONDS, self._enqueue)  # never started: `_begin` replaces it
         self._error: Exception | None = None
         self._first: Future[None] = Future()
         # Ray repeats `begin`; calls are repeated on other nodes
@@ -231,7 +233,8 @@ class RayExecutor(Executor):
     def _hand_out(self) -> None:
         """Give waiting calls to the least busy actors that have room for them."""
         while self._waiting and (free := self._free()):
-            call = self._waiting.pop(0)
+            call = self._waiting.popleft()
+            # a future is running already if its first node was lost
             if call.future.done() or not (call.future.running() or call.future.set_running_or_notify_cancel()):
                 continue
             actor = min(free, key=lambda actor: len(self._ready[actor]))

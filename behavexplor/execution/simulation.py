@@ -16,7 +16,7 @@ from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.description import is_policy
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
-from behavexplor.data.drawn_scenario import DECLARED, DEFAULT, Traffic
+from behavexplor.data.drawn_scenario import DECLARATIONS, DECLARED, DEFAULT, Traffic
 from behavexplor.data.named_code import TRAFFIC_CLASS, traffic_code
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
@@ -24,6 +24,7 @@ from behavexplor.data.target import Activation
 from behavexplor.data.trace import Trace
 from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.envs.making import (
+    check_keys,
     default_config,
     environment_id,
     has_own_config,
@@ -31,7 +32,6 @@ from behavexplor.envs.making import (
     make_env,
     make_registered,
     make_vector_env,
-    warn_of_ignored_keys,
 )
 from behavexplor.errors import InputError, brief, described, place_of
 from behavexplor.execution.drawn_actions import DrawnActions
@@ -102,7 +102,7 @@ class Simulation:
         if is_theirs:  # a model in memory drives with the keys with which it was trained
             kept = () if isinstance(ads, str) else trained.keys() - given.keys()
             whole = {**declared, **trained, **given}
-            ignored = warn_of_ignored_keys(env, {key: value for key, value in whole.items() if key not in kept})
+            ignored = check_keys(env, {key: value for key, value in whole.items() if key not in kept})
             trained, given = ({k: v for k, v in one.items() if k not in ignored} for one in (trained, given))
         if is_theirs and hasattr(self.ads, "fitted"):
             given = _answer(self.ads, "fitted", "keys", {**default_config(env), **given})
@@ -280,7 +280,7 @@ def seen_in(env: str, ads: Any, config: Mapping[str, Any]) -> tuple[Any, bool]:
     Raises:
         InputError: if the environment cannot be configured so, or the driver cannot see it.
     """
-    declared = {key: _plain(getattr(ads, key)) for key in (*DECLARED, "env_config") if hasattr(ads, key)}
+    declared = {key: _plain(getattr(ads, key)) for key in DECLARATIONS if hasattr(ads, key)}
     made = make_registered(env, {**declared, **declared.pop("env_config", {}), **config})
     made.close()
     seen = ads.seeing(made.observation_space, made.action_space) if hasattr(ads, "seeing") else ads

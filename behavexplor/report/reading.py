@@ -138,7 +138,9 @@ def read_run(folder: Path) -> ReportedRun:
     known = {finding.id: finding for finding in triage.findings} if triage else {}
     entries, findings, digest = [], [], hashlib.sha256()
     with closing(Store.read(folder)) as store:
-        stages, identity, uniform = store.stages, begun_with(store) or Identity(), UniformRate.stored(store)
+        stages = store.stages
+        identity = begun_with(store) or Identity()
+        uniform = UniformRate.stored(store)
         for execution in store.executions():
             entries.append(Entry.of(execution))
             digest.update(execution.trace)
@@ -153,20 +155,23 @@ def read_run(folder: Path) -> ReportedRun:
         digests[TRIAGE] = _digest(folder / TRIAGE)
     examined = frozenset(known) & {finding.id for finding in findings}
     weaknesses = triage.weaknesses if triage else {}
-    own = explained(
-        config.method, own_rate(config.method, len(entries), len(findings), Budget.parse(config.budget), uniform)
-    )
+    rate = own_rate(config.method, len(entries), len(findings), Budget.parse(config.budget), uniform)
+    own = explained(config.method, rate)
     minimized = read_minimized(folder)
-    found = (tuple(entries), tuple(findings), examined, weaknesses, minimized)
-    return ReportedRun(folder, config, *found, digests, stages, own, _confirmation(folder))
+    words = _confirmation(folder)
+    return ReportedRun(
+        folder, config, tuple(entries), tuple(findings), examined, weaknesses, minimized, digests, stages, own, words
+    )
 
 
 def _confirmation(folder: Path) -> str:
-    """Return what highway-env itself said of a run's failures, in words."""
+    """Return what highway-env itself said of a run's failures, in words; empty if it was not asked."""
     tried = known_confirmations(folder)
+    if not tried:
+        return ""
     unsure = not_confirmed(tried)
     head = f"highway-env itself was asked about {len(tried)} failures and confirms {len(tried) - len(unsure)}."
-    return " ".join([head, *unsure]) if tried else ""
+    return " ".join([head, *unsure])
 
 
 def _without_path(config: CampaignConfig) -> CampaignConfig:

@@ -8,7 +8,7 @@ from highway_env.envs.common.observation import ObservationType, observation_fac
 
 from behavexplor import evaluate, find_failures
 from behavexplor.envs.env_config import STOCK_ACTIONS, STOCK_OBSERVATIONS
-from behavexplor.envs.making import make_registered, warn_of_ignored_keys
+from behavexplor.envs.making import check_keys, make_registered
 from behavexplor.errors import InputError
 
 KINEMATICS = {"type": "Kinematics", "vehicles_count": 7, "features": ["presence", "x"]}
@@ -76,7 +76,7 @@ gymnasium.register("own-type-v0", entry_point=OwnType)
 )
 def test_what_highway_env_would_ignore_is_refused_by_name(config, message):
     with pytest.raises(InputError, match=message):
-        warn_of_ignored_keys("highway-fast-v0", config)
+        check_keys("highway-fast-v0", config)
 
 
 @pytest.mark.parametrize(
@@ -90,12 +90,12 @@ def test_what_highway_env_would_ignore_is_refused_by_name(config, message):
     ],
 )
 def test_what_is_known_is_not_refused(env, config):
-    warn_of_ignored_keys(env, config)
+    check_keys(env, config)
 
 
 @pytest.mark.parametrize("name", ["racetrack-v0", "intersection-multi-agent-v0", "intersection-v1", "lane-keeping-v0"])
 def test_the_configurations_of_highway_env_itself_are_known(name):
-    warn_of_ignored_keys(name, make_registered(name, {}).unwrapped.config)
+    check_keys(name, make_registered(name, {}).unwrapped.config)
 
 
 def test_the_types_are_those_of_highway_env():
@@ -140,4 +140,4 @@ def test_what_a_driver_declares_is_checked_as_well_from_python(tmp_path):
 )
 def test_a_text_in_place_of_a_number_is_refused(config, message):
     with pytest.raises(InputError, match=message):
-        warn_of_ignored_keys("highway-fast-v0", config)
+        check_keys("highway-fast-v0", config)

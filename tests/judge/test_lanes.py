@@ -9,8 +9,8 @@ from behavexplor.data.trace import ELSEWHERE, OBSTACLE, ON_ITS_WAY, WAYS
 from behavexplor.judge.lanes import (
     had_crashed,
     has_entered_ring,
-    has_other_names,
     has_lane_signals,
+    has_other_names,
     lane_change,
     maneuver,
     relation,

@@ -13,7 +13,7 @@ from gymnasium.vector.utils import create_empty_array
 
 from behavexplor.ads.sb3.description import OWN
 from behavexplor.data.array_types import Array, Bools, Floats
-from behavexplor.data.drawn_scenario import DECLARED
+from behavexplor.data.drawn_scenario import DECLARATIONS
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError, brief, described
@@ -130,7 +130,7 @@ class WrappedPolicy:
 
 def _declare_as(policy: Any, other: Any) -> None:
     """Declare the same observations, actions, frequencies and configuration as a policy."""
-    for name in (*DECLARED, "env_config"):
+    for name in DECLARATIONS:
         if hasattr(policy, name):
             setattr(other, name, getattr(policy, name))
 

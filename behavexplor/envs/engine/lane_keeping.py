@@ -1,4 +1,7 @@
-"""How vehicles steer, keep their speed and follow the road: `ControlledVehicle`, `MDPVehicle`, `LinearVehicle`."""
+"""How vehicles steer, keep their speed, follow the road and take meta-actions.
+
+Ported from `ControlledVehicle`, `MDPVehicle` and `LinearVehicle`.
+"""
 
 import math
 from typing import Any, Final
@@ -81,7 +84,7 @@ def keep_lane_and_speed(
 ) -> None:
     """Steer toward the target lane and accelerate toward the target speed: `ControlledVehicle.act` without an action.
 
-    Station and offset are those on the target lane [m].
+    `station` and `offset` are those on the target lane, `length` is the vehicle's [m]. The vehicle is changed in place.
     """
     former = vehicle.target_lane
     follow_road(network, vehicle, route, station)
@@ -94,7 +97,10 @@ def keep_lane_and_speed(
 
 @kernel_inner
 def follow_road(network: Network, vehicle: Vehicle, route: Records, station: float) -> None:
-    """Give a vehicle near the end of its target lane the next one: `ControlledVehicle.follow_road`."""
+    """Give a vehicle near the end of its target lane the next one: `ControlledVehicle.follow_road`.
+
+    `station` is that on the target lane [m], and `route`, shape (steps,), has the records `ROUTE_STEP`.
+    """
     if is_after_end(network.lanes[vehicle.target_lane], station):
         vehicle.target_lane = _advance_on_route(network, vehicle, route, station)
 

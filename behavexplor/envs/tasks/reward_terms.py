@@ -9,13 +9,12 @@ from highway_env.vehicle.controller import MDPVehicle
 from behavexplor.data.array_types import Floats
 from behavexplor.envs.engine.lane_geometry import is_on_road, lane_coordinates
 from behavexplor.envs.engine.lane_keeping import clip, nearest_speed
-from behavexplor.envs.engine.state import MDP, NO_LANE, PLAIN, Records, Scene
+from behavexplor.envs.engine.state import MDP, NO_LANE, PLAIN, Records, Scene, Vehicle
 from behavexplor.envs.engine.world import World
 from behavexplor.envs.tasks.task import FLOAT, INTEGER, NO_TERM, NUMPY
 from behavexplor.jit import kernel_inner
 
-Vehicle = np.record
-
+# Codes of terms. Those up to DEFAULT_SPEED_CHOICE are of the speed, those up to GOAL_LANE of the lane; see `_value`.
 SPEED: Final = 0  # the ego's speed as a share of `reward_speed_range`, clipped to [0, 1]
 SPEED_AHEAD: Final = 1  # the same of its speed along the x axis
 FREE_SPEED: Final = 2  # the same of its speed, not clipped
@@ -33,7 +32,7 @@ ON_ROAD: Final = 13  # whether it is on the road
 ARRIVED: Final = 14  # whether it has arrived
 LANE_CHANGE: Final = 15  # whether highway-env takes the action for a change of lane
 
-_COMPENSATES: Final = sys.version_info >= (3, 12)  # whether `sum` of Python makes up for rounding
+_IS_SUM_COMPENSATED: Final = sys.version_info >= (3, 12)  # that of floats by Python's `sum`
 _DEFAULT_SPEEDS: Floats = MDPVehicle.DEFAULT_TARGET_SPEEDS.astype(np.float64)
 
 
@@ -49,17 +48,19 @@ def put_terms(world: World, rules: Any, terms: Records, scene: Scene, changes_la
 
 @kernel_inner
 def _value(world: World, rules: Any, code: int, scene: Scene, changes_lane: bool) -> float:
+    """Return the value of a term."""
     if code <= DEFAULT_SPEED_CHOICE:
         return _speed_term(world, rules, code, scene)
     if code <= GOAL_LANE:
         return _lane_term(world, code, scene.vehicles[scene.episode.ego])
     if code == SLOW_ON_GOAL:
         return _slowness_on_goal(world, scene)
-    return 1.0 if _is_so(world, rules, code, scene, changes_lane) else 0.0
+    return 1.0 if _is_true(world, rules, code, scene, changes_lane) else 0.0
 
 
 @kernel_inner
 def _speed_term(world: World, rules: Any, code: int, scene: Scene) -> float:
+    """Return the value of a term of the ego's speed."""
     ego = scene.vehicles[scene.episode.ego]
     if code == SPEED_CHOICE:
         return float(ego.speed_index / (len(world.speeds) - 1))
@@ -74,6 +75,7 @@ def _speed_term(world: World, rules: Any, code: int, scene: Scene) -> float:
 
 @kernel_inner
 def _lane_term(world: World, code: int, ego: Vehicle) -> float:
+    """Return the value of a term of the ego's lane, or of the lane to which it changes."""
     lane = world.network.lanes[ego.lane]
     target = world.network.lanes[ego.lane if ego.target_lane == NO_LANE else ego.target_lane]
     n_lanes = world.network.roads[lane.road].n_lanes
@@ -86,33 +88,39 @@ def _lane_term(world: World, code: int, ego: Vehicle) -> float:
 
 
 @kernel_inner
-def _is_so(world: World, rules: Any, code: int, scene: Scene, changes_lane: bool) -> bool:
+def _is_true(world: World, rules: Any, code: int, scene: Scene, changes_lane: bool) -> bool:
+    """Return the value of a term that is true or false."""
     ego = scene.vehicles[scene.episode.ego]
     if code == CRASHED:
         return bool(ego.crashed)
     if code == ON_ROAD:
         return is_on_road(world.network, ego)
-    return changes_lane if code == LANE_CHANGE else has_arrived(world, rules, scene)
+    if code == LANE_CHANGE:
+        return changes_lane
+    return has_arrived(world, rules, scene)
 
 
 @kernel_inner
 def _slowness_on_goal(world: World, scene: Scene) -> float:
-    total, lost, kind = 0.0, 0.0, INTEGER
+    """Return how much slower than they want the vehicles on a goal lane are, as a sum of shares."""
+    total, compensation, kind = 0.0, 0.0, INTEGER
     for i in range(scene.episode.n_vehicles):
         vehicle = scene.vehicles[i]
         if world.network.lanes[vehicle.lane].is_goal and scene.traits[i].kind != PLAIN:
             share = (vehicle.target_speed - vehicle.speed) / vehicle.target_speed
-            total, lost, kind = plus(total, lost, kind, share, NUMPY if scene.traits[i].kind == MDP else FLOAT)
-    return total + lost
+            kind_of_share = NUMPY if scene.traits[i].kind == MDP else FLOAT
+            total, compensation, kind = plus(total, compensation, kind, share, kind_of_share)
+    return total + compensation
 
 
 @kernel_inner
 def reward_of(world: World, rules: Any, terms: Records, scene: Scene, values: Floats) -> float:
     """Compute the reward from the values of its terms."""
-    reward, lost, kind = 0.0, 0.0, INTEGER
+    reward, compensation, kind = 0.0, 0.0, INTEGER
     for k in range(len(terms)):
-        reward, lost, kind = plus(reward, lost, kind, terms[k].weight * values[k], _number_of(world, terms[k], scene))
-    reward += lost
+        item = terms[k].weight * values[k]
+        reward, compensation, kind = plus(reward, compensation, kind, item, _number_of(world, terms[k], scene))
+    reward += compensation
     if rules.arrival != NO_TERM and values[rules.arrival] != 0.0:
         reward = rules.arrived_reward
     if rules.first_gate != NO_TERM:
@@ -135,17 +143,19 @@ def _number_of(world: World, term: Any, scene: Scene) -> int:
 
 
 @kernel_inner
-def plus(total: float, lost: float, kind: int, item: float, kind_of_item: int) -> tuple[float, float, int]:
-    """Add an item as Python's `sum` does, and return the sum, what rounding has lost of it, and its kind of number.
+def plus(total: float, compensation: float, kind: int, item: float, kind_of_item: int) -> tuple[float, float, int]:
+    """Add an item as Python's `sum` does: since Python 3.12, floats by Neumaier's compensated summation.
 
-    Since Python 3.12, the loss is made up for at the end, or where a number of numpy follows floats of Python.
+    Return the sum, its compensation, and its kind of number. The caller adds the compensation at the end. Here it is
+    added where a number of numpy follows floats of Python.
     """
-    if _COMPENSATES and kind == FLOAT and kind_of_item == FLOAT:
+    if _IS_SUM_COMPENSATED and kind == FLOAT and kind_of_item == FLOAT:
         rounded = total + item
-        lost += (total - rounded) + item if abs(total) >= abs(item) else (item - rounded) + total
+        compensation += (total - rounded) + item if abs(total) >= abs(item) else (item - rounded) + total
     elif kind_of_item == NUMPY:
-        total, lost = total + lost, 0.0
-    return total + item, lost, max(kind, kind_of_item)
+        total += compensation
+        compensation = 0.0
+    return total + item, compensation, max(kind, kind_of_item)
 
 
 @kernel_inner
@@ -159,7 +169,7 @@ def is_terminated(world: World, rules: Any, scene: Scene) -> bool:
 
 @kernel_inner
 def has_arrived(world: World, rules: Any, scene: Scene) -> bool:
-    """Return whether the ego is at the station of a goal lane where it arrives: `IntersectionEnv.has_arrived`."""
+    """Return whether the ego is past `arrival_station` on a goal lane: `IntersectionEnv.has_arrived`."""
     ego = scene.vehicles[scene.episode.ego]
     lane = world.network.lanes[ego.lane]
     return bool(lane.is_goal and lane_coordinates(lane, ego.x, ego.y)[0] >= rules.arrival_station)
