@@ -164,6 +164,8 @@ def test_the_poses_of_the_last_frame_tell_who_struck_whom():
     npc = np.array([[9.0, 5.0, 3.0, 1.0], [5.0, 5.0, 2.0, 1.0], [-2.5, 3.0, 1.0, 1.0], [-3.5, 0.0, 0.0, 9.0]])
     struck = driven(np.tile([0.0, 0.0, 0.0, 5.0], (4, 1)), npc, end="collision")
     assert contact_fault(struck) == "npc_rear_end"
+    stopped = driven([(0.0, 0.0, 0.0, v) for v in (5.0, 5.0, 0.0)], np.tile([3.5, 0.0, 0.0, 0.0], (3, 1)))
+    assert contact_fault(stopped) == "struck_stationary"
 
 
 @pytest.mark.parametrize(
