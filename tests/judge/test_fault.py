@@ -164,6 +164,8 @@ def test_the_poses_of_the_last_frame_tell_who_struck_whom():
     npc = np.array([[9.0, 5.0, 3.0, 1.0], [5.0, 5.0, 2.0, 1.0], [-2.5, 3.0, 1.0, 1.0], [-3.5, 0.0, 0.0, 9.0]])
     struck = driven(np.tile([0.0, 0.0, 0.0, 5.0], (4, 1)), npc, end="collision")
     assert contact_fault(struck) == "npc_rear_end"
+    stopped = driven([(0.0, 0.0, 0.0, v) for v in (5.0, 5.0, 0.0)], np.tile([3.5, 0.0, 0.0, 0.0], (3, 1)))
+    assert contact_fault(stopped) == "struck_stationary"
 
 
 @pytest.mark.parametrize(
@@ -185,6 +187,16 @@ def test_a_cut_in_is_a_motion_across_the_route_in_the_last_three_seconds(across,
     assert contact_fault(found) == verdict
     for seen, _ in views(found):
         assert contact_fault(seen) == verdict
+
+
+def test_a_motion_across_is_one_across_the_route_where_the_ego_is():
+    """The NPC comes from behind a bend of the route; the ego is along the route before it, and then across."""
+    route = ((-90.0, 0.0), (90.0, 0.0), (90.0, 90.0))
+    npc = [(90.0, 70.0, 1.6, 9.0), (-3.5, 0.0, 0.0, 9.0)]
+    for heading, verdict in ((0.0, "npc_rear_end"), (0.5, "ego_cut_in")):
+        ego = [(0.0, 0.0, heading, 5.0), (0.0, 0.0, 0.0, 5.0)]
+        for seen, _ in views(driven(ego, npc, route=route, sizes=[CAR, (6.0, 2.0)], end="collision")):
+            assert contact_fault(seen) == verdict
 
 
 def test_in_an_environment_with_lanes_the_partner_is_told_and_the_frame_before_the_crash_counts():

@@ -77,6 +77,18 @@ def test_a_curve_begins_and_ends_where_the_heading_has_changed_by_a_twentieth(st
     assert_named(at_station(route, station), maneuver_of, expected, 0)
 
 
+@pytest.mark.parametrize(
+    ("route", "place"),
+    [
+        (((-10.0, 0.0), (0.0, 0.0), (np.cos(0.05), np.sin(0.05)), (10.0, 10.0)), (1.3, 0.4)),
+        (((-10.0, -10.0), (-np.cos(0.05), -np.sin(0.05)), (0.0, 0.0), (20.0, 0.0)), (9.5, 0.0)),
+    ],
+)
+def test_a_heading_changed_by_just_a_twentieth_is_before_or_behind_the_curve(route, place):
+    assert np.arctan2(np.sin(0.05), np.cos(0.05)) == 0.05
+    assert maneuver_of(driven([*place, 0.0, 0.0], route=route), 0) == "going-straight"
+
+
 def aside(rate, begin, end):
     """An ego on a straight route that moves across it with a rate [m/s] from `begin` to `end`, before the end [s]."""
     time = np.arange(0.0, 6.01, 0.05)
@@ -276,12 +288,12 @@ def test_who_is_slow_stands_or_creeps(speed, motion):
     ],
 )
 def test_an_ego_brakes_if_it_has_lost_two_meters_per_second_in_the_last_second(speeds, expected):
-    rows = np.column_stack([np.zeros((3, 3)), speeds])
-    trace = driven(rows, rows[::-1], time=[0.0, 0.95, 1.95])
-    assert behavior_of(trace, 2) == expected
+    rows = np.column_stack([np.zeros((4, 3)), [speeds[0], *speeds]])
+    trace = driven(rows, rows[::-1], time=[0.0, 0.88, 0.95, 1.95])
+    assert behavior_of(trace, 3) == expected
     is_on_a_bound = speeds == (5.0, 5.0, 3.0)
     for seen, _ in views(trace) if not is_on_a_bound else ():
-        assert behavior_of(seen, 2) == expected
+        assert behavior_of(seen, 3) == expected
 
 
 def test_offsets_from_the_route_are_positive_to_the_right():

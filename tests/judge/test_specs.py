@@ -293,6 +293,7 @@ def test_an_arrival_counts_by_its_course_and_a_meter_beyond(first, last, distanc
         ((-3.0, 0.6), (0.0, 0.6), 2.2 / 3),
         ((-0.5, 0.0), (0.5, 0.0), 0.0),  # it was there before
         ((0.0, -2.0), (0.0, -1.5), 1.0),  # it never was
+        ((-3.0, 0.0), (3.0, 0.0), 1.0),  # it was there in between only
         ((0.5, 0.5), (0.5, 0.5), 1.0),
     ],
 )
