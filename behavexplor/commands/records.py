@@ -2,6 +2,7 @@
 
 import json
 import sys
+from contextlib import closing
 from dataclasses import asdict
 
 from behavexplor.campaign.confirmation import known
@@ -23,13 +24,14 @@ def records(run: RunFolder) -> int:
     Args:
         run: The run folder.
     """
-    store, losses, found = Store.read(run), Losses(), known(run)
-    for record in store.records(losses):
-        values = record.to_dict() | ({"at_fault": record.at_fault} if record.failed else {})
-        values |= {"confirmation": asdict(found[record.id])} if record.id in found else {}
-        sys.stdout.write(json.dumps(values, separators=(",", ":")) + "\n")
+    losses = Losses()
+    found = known(run)
+    with closing(Store.read(run)) as store:
+        for record in store.records(losses):
+            values = record.to_dict() | ({"at_fault": record.at_fault} if record.failed else {})
+            values |= {"confirmation": asdict(found[record.id])} if record.id in found else {}
+            sys.stdout.write(json.dumps(values, separators=(",", ":")) + "\n")
     sys.stdout.flush()
-    store.close()
     lost = losses.sentences(run)
     for sentence in lost:
         say(f"{program()}: {sentence}", file=sys.stderr)

@@ -4,7 +4,7 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Iterable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -67,9 +67,8 @@ def replay(
         avoided: Draw how the ego could have avoided the collision instead, if `triage` has called it preventable.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
     """
-    store = Store.read(run)
-    execution = store.execution(number)
-    store.close()
+    with closing(Store.read(run)) as store:
+        execution = store.execution(number)
     config = accepted_run(run, Consent(trust, unconfined), DRIVING)
     folder_parts = (run, "replays") if out is None else (out,)
     if avoided:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, wait
+from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -272,10 +273,10 @@ class RunMinimization:
         afresh: bool = False,
         driver: ADS | None = None,
     ) -> None:
-        self._config = config
+        self._run, self._config = run, config
         self._workers, self._driver = workers, driver
-        self._store = Store.read(run)
-        self._chosen = chosen_failures(self._store, numbers, every=every)
+        with closing(Store.read(run)) as store:
+            self._chosen = chosen_failures(store, numbers, every=every)
         self._findings = known_findings(run)
         known = {} if afresh else known_minimized(run, self._findings)
         self._found = {number: known[number] for number in self._chosen if number in known}
@@ -291,25 +292,24 @@ class RunMinimization:
             InputError: if the driver cannot be loaded, or the run folder cannot be written.
             RuntimeError: if a failure could not be minimized.
         """
-        try:
-            for minimal in self._minimized():
-                if minimal is not None:
-                    self._found[minimal.id] = minimal
-                observe(sum(number in self._found for number in self.waiting))
-        except OSError as error:
-            raise InputError(f"The run folder {self._store.folder} cannot be written: {error.strerror}") from None
-        finally:
-            self._store.close()
+        with closing(Store.read(self._run)) as store:
+            try:
+                for minimal in self._minimized(store):
+                    if minimal is not None:
+                        self._found[minimal.id] = minimal
+                    observe(sum(number in self._found for number in self.waiting))
+            except OSError as error:
+                raise InputError(f"The run folder {self._run} cannot be written: {error.strerror}") from None
         return [self._found[number] for number in self._chosen]
 
-    def _minimized(self) -> Iterator[Minimized | None]:
+    def _minimized(self, store: Store) -> Iterator[Minimized | None]:
         """Minimize the waiting failures, write the results into the run folder, and yield them in order.
 
         While one takes long, None is yielded every `PATIENCE` seconds.
         """
         if not self.waiting:
             return
-        store, workers = self._store, min(self._workers, len(self.waiting))
+        workers = min(self._workers, len(self.waiting))
         executor = start_evaluator(Minimizer, self._config, TIME_LIMIT, workers, self._driver)
         try:
             folder_in(store.folder, MINIMIZED)

@@ -6,6 +6,7 @@ Also which weaknesses of the rule planner a run has reached.
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -54,10 +55,10 @@ class RunTriage:
     ) -> None:
         self._run, self._config = run, config
         self._workers, self._driver = workers, driver
-        self._store = Store.read(run)
-        self._total = len(self._store)
         self._known = {} if afresh else known_findings(run)
-        self._failures = [record.id for record in self._store.records() if record.failed]
+        with closing(Store.read(run)) as store:
+            self._total = len(store)
+            self._failures = [record.id for record in store.records() if record.failed]
         self.waiting = [number for number in self._failures if number not in self._known]
 
     def examine(self, observe: Callable[[int], None]) -> Triage:
@@ -69,45 +70,44 @@ class RunTriage:
             InputError: if the run folder cannot be written, or is damaged.
             RuntimeError: if a failure could not be examined or confirmed.
         """
-        try:
-            return self._examine(observe)
-        except OSError as error:
-            raise InputError(f"The run folder {self._run} cannot be written: {error.strerror}") from None
-        finally:
-            self._store.close()
+        with closing(Store.read(self._run)) as store:
+            try:
+                return self._examine(store, observe)
+            except OSError as error:
+                raise InputError(f"The run folder {self._run} cannot be written: {error.strerror}") from None
 
-    def _examine(self, observe: Callable[[int], None]) -> Triage:
+    def _examine(self, store: Store, observe: Callable[[int], None]) -> Triage:
         folder_in(self._run, WITNESSES)
-        missing = unconfirmed(self._config, self._run, self._store.records())
+        missing = unconfirmed(self._config, self._run, store.records())
         tasks = len(self.waiting) or len(missing)
         if not tasks:
-            return self._written()
+            return self._written(store)
         workers = min(self._workers, tasks)
         executor = start_evaluator(Examiner, self._config, TIME_LIMIT, workers, self._driver)
         try:
-            for done, finding in enumerate(self._findings(executor, AHEAD * workers), 1):
+            for done, finding in enumerate(self._findings(store, executor, AHEAD * workers), 1):
                 self._known[finding.id] = finding
                 if done % WRITTEN_AFTER == 0:
                     self._triage(self._known.values()).write(self._run)
                 observe(done)
-            found = self._written()
-            for _ in confirmed(executor, self._store, missing):  # writes what highway-env says of each
+            found = self._written(store)
+            for _ in confirmed(executor, store, missing):  # writes what highway-env says of each
                 pass
         finally:
             executor.shutdown(wait=False)
         return found
 
-    def _findings(self, executor: Executor, ahead: int) -> Iterator[Finding]:
+    def _findings(self, store: Store, executor: Executor, ahead: int) -> Iterator[Finding]:
         """Examine the waiting failures in order, write their witnesses, and yield the findings."""
-        calls = (_call(self._store.execution(number), self._config.seed) for number in self.waiting)
+        calls = (_call(store.execution(number), self._config.seed) for number in self.waiting)
         for number, future in zip(self.waiting, in_order(executor, calls, ahead), strict=True):
-            yield _finding(self._run, self._store.execution(number), future)
+            yield _finding(self._run, store.execution(number), future)
 
-    def _written(self) -> Triage:
+    def _written(self, store: Store) -> Triage:
         """Write all findings, with the weaknesses that the rule planner has reached, and return them."""
         found = self._triage(self._known[number] for number in self._failures)
         if self._is_rule_planner:
-            traces = ((execution.id, execution.load_trace()) for execution in self._store.executions())
+            traces = ((execution.id, execution.load_trace()) for execution in store.executions())
             found = replace(found, weaknesses=weakness_records(traces, found.findings))
         found.write(self._run)
         return found

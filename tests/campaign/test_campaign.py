@@ -304,7 +304,7 @@ def test_resuming_holds_no_more_traces_than_are_in_flight(tmp_path, monkeypatch)
 
 def test_what_the_store_has_lost_is_executed_again(tmp_path):
     whole = run(tmp_path / "a", budget="30")
-    with sqlite3.connect(tmp_path / "a" / DATABASE) as connection:
+    with closing(sqlite3.connect(tmp_path / "a" / DATABASE, isolation_level=None)) as connection:
         connection.execute("UPDATE executions SET trace = zeroblob(9) WHERE id IN (3, 29)")
         connection.execute("DELETE FROM executions WHERE id = 17")
     connection.close()

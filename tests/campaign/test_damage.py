@@ -7,6 +7,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,7 @@ def folder(whole, tmp_path):
 
 
 def change(folder, statement):
-    with sqlite3.connect(folder / DATABASE) as connection:
+    with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as connection:
         connection.execute(statement)
     connection.close()
 
@@ -163,7 +164,7 @@ def test_a_run_that_was_ended_while_it_was_made_can_be_resumed(tmp_path, left):
         (tmp_path / "run" / DATABASE).write_bytes(b"")
     elif left == "header":
         (tmp_path / "run" / DATABASE).unlink()
-        with sqlite3.connect(tmp_path / "run" / DATABASE) as connection:
+        with closing(sqlite3.connect(tmp_path / "run" / DATABASE, isolation_level=None)) as connection:
             connection.execute("PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA user_version = 0")
         connection.close()

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import textwrap
+from contextlib import closing
 
 import pytest
 
@@ -171,7 +172,7 @@ def test_sqlite_would_have_deleted_the_file(folder, tmp_path):
     ],
 )
 def test_a_foreign_schema_is_refused(folder, statements, what):
-    with sqlite3.connect(folder / DATABASE) as connection:
+    with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as connection:
         connection.executescript(statements)
     connection.close()
     before = (folder / DATABASE).read_bytes()

@@ -3,7 +3,7 @@
 import math
 import sqlite3
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 
 import pytest
 
@@ -84,7 +84,7 @@ def test_executing_and_analysing_are_all_stages_but_the_start():
 
 @pytest.mark.parametrize("note", ["", "[]", '{"judging": "1"}', '{"judging": NaN, "more": 1}', "[" * 100_000, "1e999"])
 def test_a_run_without_a_readable_note_has_no_stages(run, note):
-    with sqlite3.connect(run / DATABASE) as connection:
+    with closing(sqlite3.connect(run / DATABASE, isolation_level=None)) as connection:
         connection.execute("UPDATE meta SET value = ? WHERE key = 'stages'", (note,))
     connection.close()
     assert stages_of(run)[0] == {}

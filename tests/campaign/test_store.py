@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -84,7 +85,7 @@ def test_a_reader_sees_the_committed_while_a_campaign_writes(store):
 
 def test_ordinary_tools_can_read_it(store):
     filled(store)
-    with sqlite3.connect(store.folder / DATABASE) as connection:
+    with closing(sqlite3.connect(store.folder / DATABASE, isolation_level=None)) as connection:
         rows = connection.execute('SELECT id, degree, novelty, "end", violated FROM executions').fetchall()
     connection.close()
     assert rows[1] == (1, 0.1, 0.5, "arrived", "[]")
@@ -136,7 +137,7 @@ def test_a_file_that_is_no_database_is_refused(tmp_path):
 
 
 def test_another_format_is_refused(store):
-    with sqlite3.connect(store.folder / DATABASE) as connection:
+    with closing(sqlite3.connect(store.folder / DATABASE, isolation_level=None)) as connection:
         connection.execute("UPDATE meta SET value = '99'")
     connection.close()
     with pytest.raises(InputError, match="has format 99"):
@@ -146,7 +147,7 @@ def test_another_format_is_refused(store):
 @pytest.mark.parametrize("change", ["trace = zeroblob(10)", "record = replace(record, 'arrived', 'crashed')", "id = 7"])
 def test_damage_is_named(store, change):
     filled(store)
-    with sqlite3.connect(store.folder / DATABASE) as connection:
+    with closing(sqlite3.connect(store.folder / DATABASE, isolation_level=None)) as connection:
         connection.execute(f"UPDATE executions SET {change} WHERE id = 2")
     connection.close()
     executions = store.executions()
@@ -238,7 +239,7 @@ def test_what_is_written_is_on_disk_and_what_is_read_runs_no_functions_of_a_sche
 def test_a_value_of_a_wrong_type_is_damage(tmp_path, change):
     """SQLite checks types when it writes, so the table is written as one of another kind."""
     folder = stored_run(tmp_path / "run", "env: x\n", 3)
-    with sqlite3.connect(folder / DATABASE, isolation_level=None) as connection:
+    with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as connection:
         connection.execute("PRAGMA writable_schema = ON")
         edit = "UPDATE sqlite_schema SET sql = ? WHERE name = 'executions'"
         (ours,) = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'executions'").fetchone()
@@ -290,6 +291,6 @@ def test_a_run_that_is_refused_is_not_held_open(tmp_path, spoil, use):
 
 
 def changed(path, statement):
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
         connection.execute(statement)
     connection.close()

@@ -242,7 +242,7 @@ def test_an_ads_that_failed_has_a_card(run, tmp_path):
         return {**record, "violated": ["error"], "error": failure, "end": "error", "novelty": None}
 
     folder = copied(run, tmp_path / "run", change=change)
-    with sqlite3.connect(folder / DATABASE) as connection:
+    with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as connection:
         connection.execute("DELETE FROM executions WHERE id = 3")
     connection.close()
     store = Store.read(run)

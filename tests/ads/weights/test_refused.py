@@ -216,7 +216,7 @@ def test_formats_that_are_not_read_are_named(tmp_path):
     torch.save(Tutorial().state_dict(), path, _use_new_zipfile_serialization=False)
     with pytest.raises(InputError, match=r"has the format of torch before 1\.6, which is not read: load it with"):
         read_tensors(path)
-    with pytest.warns(DeprecationWarning, match="TorchScript|torch.jit"):
+    with pytest.warns((DeprecationWarning, FutureWarning), match="TorchScript|torch.jit"):
         torch.jit.script(dense(25, 64, 5)).save(path)
     with pytest.raises(InputError, match="is a program of TorchScript, which is not run"):
         read_tensors(path)
