@@ -25,7 +25,7 @@ from behavexplor.campaign.confirmation import unconfirmed
 from behavexplor.campaign.judges import Judges
 from behavexplor.campaign.judgment import Judgment, ads_failure, confirmed, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
-from behavexplor.campaign.record import ENCODED, ERROR, Record, WrittenValues
+from behavexplor.campaign.record import ERROR, Record, WrittenValues, encode_json
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.campaign.uniform_rate import MOST, SHARE, UniformRate
 from behavexplor.data.scenario import LogicalScenario
@@ -260,7 +260,7 @@ class Campaign:
         if isinstance(candidate, UniformCandidate) and judges is not None and judges.can_draw:
             drawn = json.dumps([candidate.seed, candidate.number])
         else:
-            scenario = ENCODED(candidate.scenario.to_dict())
+            scenario = encode_json(candidate.scenario.to_dict())
         result = self._submit(candidate.number, drawn or scenario)
         if judges is None or not (drawn or judges.are_ready):
             return _Pending(candidate, result, scenario)
@@ -279,7 +279,7 @@ class Campaign:
         record = self._record(oldest, judged)
         self._failures += record.failed
         if not isinstance(oldest.result, Execution):
-            self._store.add(Execution(record, judged.data, self.elapsed, record.lines_around(judged.lines)))
+            self._store.add(Execution(record, judged.data, self.elapsed, record.members_around(judged.members)))
         elif not oldest.result.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
             raise InputError(
                 f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration or "
@@ -344,7 +344,7 @@ class Campaign:
             novelty=novelty,
             novel=novelty > self._archive.options.threshold,
             search=dict(learned),
-            scenario=WrittenValues(pending.scenario or judged.scenario or ENCODED(candidate.scenario.to_dict())),
+            scenario=WrittenValues(pending.scenario or judged.scenario or encode_json(candidate.scenario.to_dict())),
         )
 
     def _commit(self, observe: Callable[[Progress], None], rows: int, seconds: float) -> None:

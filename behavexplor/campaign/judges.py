@@ -19,7 +19,7 @@ import numpy as np
 
 from behavexplor.behavior.features import ATTRIBUTES, known_states, state_matrix
 from behavexplor.campaign.judgment import Judgment, judgment
-from behavexplor.campaign.record import ENCODED, Result, lines_of
+from behavexplor.campaign.record import Result, encode_json, json_object, members_of
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.scenario import LogicalScenario, draws
 from behavexplor.data.trace import Trace
@@ -39,7 +39,7 @@ LEAST: Final = 1500  # executions of a campaign for which it pays to start proce
 MOST: Final = 64  # traces that are judged at a time
 PATIENCE: Final = 600.0  # time limit of a group [s]
 FRAMES: Final = 31  # of the trace of `pass_by`
-_END: Final = b"\0"  # of the lines about a trace
+_END: Final = b"\0"  # of the texts about a trace
 _SPEED: Final = 10.0  # [m/s]
 
 
@@ -166,32 +166,32 @@ class Judges:
 def judged(data: bytes, drawn: bytes = b"", logical: LogicalScenario | None = None, *, nearness: bool = False) -> bytes:
     """Judge the bytes of a trace by the built-in specs.
 
-    Return the lines of a `behavexplor.campaign.judgment.Judgment`, and after a zero the ego's states as float32, see
-    `behavexplor.behavior.features.state_matrix`; or a line with an error in place of the figures if the bytes are no
-    trace, which is the failure of the driver. Two lines follow: the scenario, if it was `drawn` by a seed and a number,
-    and the nearness to a failure, if it is asked for.
+    Return the members of a `behavexplor.campaign.judgment.Judgment`, a line each, and after a zero the ego's states as
+    float32, see `behavexplor.behavior.features.state_matrix`; or a line with an error in place of the figures if the
+    bytes are no trace, which is the failure of the driver. Two lines follow: the scenario, if it was `drawn` by a seed
+    and a number, and the nearness to a failure, if it is asked for.
     """
     try:
         found = judgment(data, None, SPECS)
     except ADSError as error:
-        return "\n".join([*lines_of({"error": error.message}), "", ""]).encode() + _END
-    scenario = ENCODED(logical.sample(draws(*json.loads(drawn))).to_dict()) if drawn and logical else ""
+        return "\n".join([*members_of({"error": error.message}), "", ""]).encode() + _END
+    scenario = encode_json(logical.sample(draws(*json.loads(drawn))).to_dict()) if drawn and logical else ""
     near = json.dumps(Nearness.of(found.trace, found.result.verdict)) if nearness else ""
-    return "\n".join([*found.lines, scenario, near]).encode() + _END + state_matrix(found.trace).tobytes()
+    return "\n".join([*found.members, scenario, near]).encode() + _END + state_matrix(found.trace).tobytes()
 
 
 def _set(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
     """Set what `judged` has returned on a future."""
     head, _, states = found.partition(_END)
-    *lines, scenario, near = head.decode().split("\n")
-    values = json.loads(f"{{{','.join(lines)}}}")
+    *members, scenario, near = head.decode().split("\n")
+    values = json.loads(json_object(members))
     if "error" in values:
         judging.set_exception(ADSError("crash", values["error"]))
         return
     matrix = np.frombuffer(states, dtype=np.float32).reshape(-1, len(ATTRIBUTES))
     computed = known_states("route", matrix) | (known_nearness(*json.loads(near)) if near else {})
     trace = Trace.of_packed(data, **computed)
-    judging.set_result(Judgment(data, trace, Result.from_dict(values), lines, scenario))
+    judging.set_result(Judgment(data, trace, Result.from_dict(values), members, scenario))
 
 
 def pass_by() -> Trace:

@@ -28,7 +28,7 @@ class Judgment:
     data: bytes
     trace: Trace
     result: Result
-    lines: Sequence[str]  # the result as it stands in a record, see `Record.lines_around`
+    members: Sequence[str]  # of a record: those that tell the result, see `Record.members_around`
     scenario: str | None = None  # the scenario as JSON, if a judge has drawn it again
 
 
@@ -56,7 +56,7 @@ def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec])
         degree=verdict.degree,
         degrees=dict(verdict.degrees),
     )
-    return Judgment(data, trace, result, result.result_lines)
+    return Judgment(data, trace, result, result.result_members)
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:

@@ -14,6 +14,10 @@ from behavexplor.judge.specs import ERROR, Verdict
 
 __all__ = ["ERROR", "Record"]
 
+_KEYS: Final = {"violation_class": "class"}  # of a record in JSON, where they are not the names of the fields
+_FIELDS: Final = {key: name for name, key in _KEYS.items()}
+encode_json: Final = json.JSONEncoder(allow_nan=False).encode  # without the time that `json.dumps` takes to make one
+
 
 class WrittenValues(Mapping[str, Any]):
     """Values by name in a JSON text, which is read when one of them is asked for."""
@@ -98,10 +102,10 @@ class Result:
         return self.failed and is_at_fault(self.fault)
 
     @property
-    def result_lines(self) -> list[str]:
-        """The result as it stands in a record, see `lines_of`."""
+    def result_members(self) -> list[str]:
+        """The members of a record that tell the result, see `members_of`."""
         values = {_KEYS.get(name, name): getattr(self, name) for name in _RESULT}
-        return lines_of({name: value for name, value in values.items() if value is not None})
+        return members_of({name: value for name, value in values.items() if value is not None})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +113,7 @@ class Record(Result, Ancestry):
     """The figures of one execution: where it comes from, its result, and what the search saw in it.
 
     Equal campaigns have equal records. Fields that are None are left out when the record is written, but for the
-    parent.
+    parent. The members of the JSON are in the order of `Ancestry`, `Result` and this class.
 
     Attributes:
         novelty: distance to the nearest earlier behavior of the campaign, in [0, 1].
@@ -135,25 +139,26 @@ class Record(Result, Ancestry):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record as JSON values, in a fixed order."""
+        # under the keys of a record, with lists and dictionaries as JSON has them
         values: dict[str, Any] = {_KEYS.get(name, name): getattr(self, name) for name in _NAMES}
         values |= {"violated": list(self.violated), "scenario": dict(self.scenario)}
         return {name: value for name, value in values.items() if value is not None or name == "parent"}
 
     @property
-    def lines(self) -> list[str]:
-        """The record as lines of JSON, one for each field; see `json_of`."""
-        return lines_of(self.to_dict())
+    def members(self) -> list[str]:
+        """The members of the record as a JSON object, see `members_of`."""
+        return members_of(self.to_dict())
 
     def to_json(self) -> str:
         """Return the record as JSON."""
-        return json_of(self.lines)
+        return json_object(self.members)
 
-    def lines_around(self, result: Sequence[str]) -> list[str]:
-        """Return the record as lines of JSON, of which the `result_lines` have been written already."""
-        scenario = self.scenario.text if isinstance(self.scenario, WrittenValues) else ENCODED(self.scenario)
+    def members_around(self, result: Sequence[str]) -> list[str]:
+        """Return the members of the record, without encoding again the `result_members` that are written already."""
+        scenario = self.scenario.text if isinstance(self.scenario, WrittenValues) else encode_json(self.scenario)
         before = {"id": self.id, "origin": self.origin, "parent": self.parent}
         after = {"novelty": self.novelty, "novel": self.novel, "search": self.search}
-        return [*lines_of(before), *result, *lines_of(after), f'"scenario": {scenario}']
+        return [*members_of(before), *result, *members_of(after), f'"scenario": {scenario}']
 
     @classmethod
     def from_json(cls, data: bytes | str) -> Self:
@@ -172,16 +177,13 @@ class Record(Result, Ancestry):
 _ADAPTER: Final = TypeAdapter(Record)
 _NAMES: Final = tuple(one.name for one in fields(Record))
 _RESULT: Final = tuple(one.name for one in fields(Result))
-_KEYS: Final = {"violation_class": "class"}  # of a record in JSON, where they are not the names of the fields
-_FIELDS: Final = {key: name for name, key in _KEYS.items()}
-ENCODED: Final = json.JSONEncoder(allow_nan=False).encode  # without the time that `json.dumps` takes to make one
 
 
-def lines_of(values: Mapping[str, Any]) -> list[str]:
-    """Return JSON values by name as they stand in a record, one line each."""
-    return [f'"{name}": {ENCODED(value)}' for name, value in values.items()]
+def members_of(values: Mapping[str, Any]) -> list[str]:
+    """Return the members of a JSON object as texts: a name and a value each."""
+    return [f'"{name}": {encode_json(value)}' for name, value in values.items()]
 
 
-def json_of(lines: Iterable[str]) -> str:
-    """Return the JSON of a record in lines."""
-    return f"{{{', '.join(lines)}}}"
+def json_object(members: Iterable[str]) -> str:
+    """Return the JSON object of these members."""
+    return f"{{{', '.join(members)}}}"

@@ -19,7 +19,7 @@ from behavexplor.campaign import database_rows
 from behavexplor.campaign.database_file import connect, lock_folder
 from behavexplor.campaign.folder_format import CONFIG, DATABASE, FAILURES, FORMAT, LOCK, Losses, failure_path
 from behavexplor.campaign.progress import known_stages
-from behavexplor.campaign.record import Record, json_of
+from behavexplor.campaign.record import Record, json_object
 from behavexplor.data.durable import check_no_file, folder_in, write_durably, write_whole
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -37,7 +37,7 @@ class Execution:
     record: Record
     trace: bytes  # trace as bytes, see `behavexplor.data.trace.Trace.from_bytes`
     elapsed: float  # running time of the campaign up to the execution [s]
-    # the record as lines of JSON, if they are known already
+    # the members of the record, if they are known already
     written: Sequence[str] | None = field(default=None, compare=False)
 
     @property
@@ -46,9 +46,9 @@ class Execution:
         return self.record.id
 
     @property
-    def lines(self) -> Sequence[str]:
-        """The record as lines of JSON, one for each field."""
-        return self.written or self.record.lines
+    def members(self) -> Sequence[str]:
+        """The members of the record as a JSON object."""
+        return self.written or self.record.members
 
     @property
     def scenario(self) -> Scenario:
@@ -221,7 +221,7 @@ class Store:
             raise FileNotFoundError(f"{self.lost} was deleted or moved")
         rows = []
         for execution in self._pending:
-            record = json_of(execution.lines).encode()
+            record = json_object(execution.members).encode()
             rows.append(database_rows.Row(execution.id, record, execution.trace, float(execution.elapsed)))
             if execution.record.failed:
                 self._write_failure(execution)
@@ -230,7 +230,7 @@ class Store:
         return committed
 
     def _write_failure(self, execution: Execution) -> None:
-        text = ",\n ".join(execution.lines)
+        text = ",\n ".join(execution.members)
         path = failure_path(self.folder, execution.id)
         write_whole(path, f"{{\n {text}\n}}\n")  # the database has what may be lost
 

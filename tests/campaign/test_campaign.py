@@ -1,6 +1,7 @@
 """Campaigns: the same records whatever executes them, nothing counted that is not stored, and resumption."""
 
 import sqlite3
+import time
 from collections import Counter
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import closing
@@ -403,3 +404,17 @@ def test_a_time_budget_ends(tmp_path):
 def test_options_reach_the_method(tmp_path):
     with pytest.raises(InputError, match="'thet_c'"):
         run(tmp_path / "a", options={"thet_c": 0.3})
+
+
+class Slow(FakeExecutor):
+    """Takes a while for each execution."""
+
+    def submit(self, evaluate, scenario):
+        time.sleep(0.01)
+        return super().submit(evaluate, scenario)
+
+
+def test_progress_says_how_long_executions_took(tmp_path):
+    seen = []
+    run(tmp_path / "a", Slow(), seen.append, budget="12", method="uniform")
+    assert 12 * 0.01 <= seen[-1].executing <= seen[-1].elapsed

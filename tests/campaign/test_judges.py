@@ -65,7 +65,7 @@ def test_a_judge_says_what_the_campaign_would_say(judges):
         future.set_result(data)
     for future, data in zip(futures, TRACES, strict=True):
         found, own = future.result(60), judgment(data, None, SPECS)
-        assert (found.result, found.data, found.lines) == (own.result, data, own.lines)
+        assert (found.result, found.data, found.members) == (own.result, data, own.members)
         assert state_matrix(found.trace).tobytes() == state_matrix(own.trace).tobytes()
         assert "position" not in vars(found.trace)  # nothing has been read until now
         assert found.trace.to_bytes() == data
@@ -321,7 +321,7 @@ def test_a_record_is_compared_with_the_judgment_of_its_trace(change, words):
     scenarios = map(LOGICAL.sample, repeat(np.random.default_rng(1), 1000))
     scenario = next(one for one in scenarios if judge(simulate(one)).violated == ("collision",))
     data = simulate(scenario).to_bytes()
-    written = json.loads(f"{{{','.join(judgment(data, None, SPECS).lines)}}}")
+    written = json.loads(f"{{{','.join(judgment(data, None, SPECS).members)}}}")
     record = Record.from_json(json.dumps({"id": 0, "scenario": scenario.to_dict(), **written}))
     again = SimpleNamespace(submit=lambda *_: done(data))
     found = repeat_execution(again, Execution(replace(record, **change), data, 0.0))

@@ -192,10 +192,10 @@ def test_a_run_can_be_reopened(store):
 
 def test_a_record_whose_outcome_and_scenario_are_written_is_the_same():
     whole = replace(execution(3).record, origin="one, two", parent=2, search={"energy": [0.5, None], "kept": True})
-    outcome = whole.lines[3:-4]
+    outcome = whole.members[3:-4]
     made = replace(whole, scenario=WrittenValues(json.dumps(whole.scenario)))
     for record in (made, whole):
-        assert record.lines_around(outcome) == whole.lines
+        assert record.members_around(outcome) == whole.members
     assert "_values" not in vars(made.scenario)  # nothing has been read until now
     assert made.to_json() == whole.to_json()
     assert (made, made.load_scenario()) == (whole, whole.load_scenario())
