@@ -1,6 +1,7 @@
 """The driver's own failure rate beside a search."""
 
 import json
+from contextlib import closing
 
 import pytest
 
@@ -39,8 +40,8 @@ def test_uniform_draws_are_their_own_rate(tmp_path, capsys):
     run = behavexplor.open_run(tmp_path / "run")
     assert run.summary.uniform == UniformRate(12, run.summary.failed)
     assert f"so the driver's failure rate is {run.summary.failed / 12:.1%} (95%: " in words
-    with Store.read(run.folder)._connection as connection:
-        assert connection.execute("SELECT count(*) FROM meta WHERE key = 'uniform'").fetchone() == (0,)
+    with closing(Store.read(run.folder)) as store:
+        assert not store.note("uniform")
 
 
 def test_the_summary_and_the_page_say_which_number_is_the_drivers(tmp_path, capsys):

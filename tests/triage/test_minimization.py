@@ -3,6 +3,7 @@
 import json
 import re
 from concurrent.futures import Future
+from contextlib import closing
 from threading import Timer
 
 import numpy as np
@@ -36,9 +37,14 @@ def run(tmp_path_factory):
     return folder
 
 
+def records(folder):
+    with closing(Store.read(folder)) as store:
+        return list(store.records())
+
+
 def test_the_first_failure_of_each_class_is_minimized(run):
     first = {}
-    for record in Store.read(run).records():
+    for record in records(run):
         if record.failed:
             first.setdefault(record.violation_class, record.id)
     assert sorted(first.values()) == sorted(read_minimized(run))
@@ -95,7 +101,7 @@ def test_what_has_been_minimized_is_not_minimized_again(run, capsys):
 
 
 def test_an_execution_that_passed_cannot_be_minimized(run, capsys):
-    passed = next(record.id for record in Store.read(run).records() if not record.failed)
+    passed = next(record.id for record in records(run) if not record.failed)
     assert main(["minimize", str(run), str(passed)]) == BAD_INPUT
     assert f"Execution {passed} of {run} has no failure" in capsys.readouterr().err
 
@@ -108,12 +114,12 @@ def test_numbers_beside_all_are_refused(tmp_path, capsys):
 def test_a_flaky_failure_is_named_and_stays_as_it_is(tmp_path, capsys):
     folder = tmp_path / "run"
     fuzz(folder, "tests.triage.test_triage:Wavering", 3)
-    number = next(record.id for record in Store.read(folder).records() if record.failed)
+    number = next(record.id for record in records(folder) if record.failed)
     assert main(["minimize", str(folder), str(number), "--workers", "0", "--quiet"]) == OK
     assert f"Execution {number} did not fail in the same way" in capsys.readouterr().out
     found = read_minimized(folder)[number]
     assert not found.reproduced
-    assert found.load_scenario() == Store.read(folder).execution(number).scenario
+    assert found.load_scenario() == next(record for record in records(folder) if record.id == number).load_scenario()
 
 
 class Dying:
