@@ -1,5 +1,6 @@
 """Settings of all tests."""
 
+import signal
 from multiprocessing import set_forkserver_preload
 
 import pytest
@@ -13,6 +14,10 @@ settings.register_profile("untimed", deadline=None)  # machines are shared: the 
 settings.load_profile("untimed")
 
 VEHICLES = parameters()
+
+for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) is signal.SIG_IGN:  # in the background, so programs of tests would inherit it
+        signal.signal(number, handler)
 
 
 @pytest.fixture(autouse=True, scope="session")
