@@ -181,6 +181,11 @@ def test_tables_are_put_into_their_places(tmp_path):
     assert filled(expected, folder) == expected
 
 
+def without_versions(page):
+    """Leave out the versions of libraries that a page says it was made with."""
+    return re.sub(rb"with behavexplor [^<]*? This ", b"", page)
+
+
 @pytest.mark.parametrize(
     ("name", "experiment"),
     [
@@ -206,7 +211,7 @@ def test_the_figures_of_an_experiment_are_those_of_its_archive(tmp_path, name, e
     for path in kept.iterdir():
         if path.name == ARCHIVE:  # its bytes depend on the version of zlib
             continue
-        assert (folder / path.name).read_bytes() == path.read_bytes(), path.name
+        assert without_versions((folder / path.name).read_bytes()) == without_versions(path.read_bytes()), path.name
     page = (ROOT / "docs" / "results.md").read_text()
     assert runpy.run_path(str(ROOT / "docs" / "results.py"))["filled"](page, folder) == page
 
