@@ -1,11 +1,13 @@
-"""Actions of rows without an episode."""
+"""What is told while an ADS is asked, and actions of rows without an episode."""
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
 
+from behavexplor.execution import rollout
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import ask
 
@@ -39,3 +41,22 @@ def test_an_action_that_is_not_used_may_be_anything(actions, space):
 def test_valid_actions_are_passed_on():
     actions = np.array([[1.0, 0.5], [0.0, 0.0], [0.0, -1.0]])
     assert answered(actions, Box(-1, 1, (2,)), SECOND_IS_UNUSED)[0] is actions
+
+
+@pytest.mark.parametrize("action", [np.array([[0.0, 0.0]]), None])
+def test_another_process_is_told_as_long_as_an_ads_is_asked(monkeypatch, action):
+    """Whoever watches a worker knows by this whether its end is the ADS's failure."""
+    seen = []
+
+    def predict(*_, **__):
+        seen.append(flag.value)
+        if action is None:
+            raise ValueError("no idea")
+        return action, None
+
+    flag = SimpleNamespace(value=0)
+    monkeypatch.setattr(rollout, "_asking", [flag])
+    with nullcontext() if action is not None else pytest.raises(ADSError, match="no idea"):
+        ask(SimpleNamespace(predict=predict), np.zeros((1, 1)), None, np.zeros(1, dtype=bool), Box(-1, 1, (2,)), None)
+    assert seen == [1]
+    assert flag.value == 0

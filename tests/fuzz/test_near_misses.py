@@ -160,7 +160,8 @@ def test_a_spec_of_a_user_has_a_niche_with_its_own_degree():
 
 
 def test_the_partner_for_a_spec_of_a_user_is_the_vehicle_that_is_nearest_in_the_end():
-    near, far = straight(y=12.0), straight(y=14.0)
-    near[-1, 1], far[-1, 1] = 14.0, 12.0
-    misses = found(drive(straight(), near, far), Verdict({"own": -1.0}, ()), reach=0.0)
+    """The other one was nearer until then, and is nearer to the center line, beside which the ego drives."""
+    left, right = straight(y=4.5), straight(y=-6.0)
+    left[-1, 1], right[-1, 1] = -3.0, 4.0
+    misses = found(drive(straight(y=1.0), left, right), Verdict({"own": -1.0}, ()), reach=0.0)
     assert misses == {"own/going-straight/ended-by-arrived": (0.01, 1)}
