@@ -114,7 +114,7 @@ class RunTriage:
 
     @property
     def _is_rule_planner(self) -> bool:
-        """Whether the run's ADS is the rule planner, in any variant."""
+        """True if the run's ADS is the rule planner, in any variant."""
         return self._config.ads.partition(":")[0] == "rule"
 
     def _triage(self, findings: Iterable[Finding]) -> Triage:

@@ -121,7 +121,7 @@ def test_the_nearest_cluster_is_that_of_all_scaled_features(count, tail):
 
 @pytest.mark.parametrize("feature_number", range(N_FEATURES))
 def test_each_feature_alone_decides_between_clusters(feature_number):
-    """Of two centers that differ in one feature only, and of two that are equal the first."""
+    """A window belongs to the nearer of two centers that differ in one feature, and to the first of two equal ones."""
     states = np.random.default_rng(3).normal(0, 2, (12, 8))
     merged = merged_states(states, 4, "cut")
     values = merged[:, feature_number]

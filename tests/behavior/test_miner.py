@@ -291,7 +291,7 @@ def test_defaults_are_the_papers_where_it_states_them():
 
 @pytest.mark.parametrize(("size", "rows"), [(1, 2), (1, 3), (2, 5)])
 def test_every_row_is_in_the_sample_with_the_same_probability(size, rows):
-    """Whether the rows come one by one or all at once; 1500 samples, within five deviations."""
+    """Rows may come one by one or all at once. The shares of 1500 samples lie within five deviations."""
     marked = np.arange(rows)[:, None] * np.ones(N_FEATURES)
     for step in (1, rows):
         kept = np.zeros(rows)

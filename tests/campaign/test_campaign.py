@@ -362,7 +362,7 @@ def test_a_campaign_stops_after_so_many_failures(tmp_path, recorded, count, word
 
 
 def test_a_campaign_that_goes_on_stops_only_when_all_that_it_has_came_out_again(tmp_path, recorded):
-    """Of the eight candidates in flight at its end, seven are new. They are executed, but not stored."""
+    """Seven of the eight candidates in flight at its end are new. They are executed, but not stored."""
     config, executed = CampaignConfig(budget="40", seed=3, method="uniform"), []
     run(tmp_path / "run", method="uniform", budget="30")
     with closing(Store.reopen(tmp_path / "run")) as store:

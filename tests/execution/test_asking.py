@@ -45,7 +45,7 @@ def test_valid_actions_are_passed_on():
 
 @pytest.mark.parametrize("action", [np.array([[0.0, 0.0]]), None])
 def test_another_process_is_told_as_long_as_an_ads_is_asked(monkeypatch, action):
-    """Whoever watches a worker knows by this whether its end is the ADS's failure."""
+    """The campaign's process tells by this flag whether the end of a worker is a failure of the ADS."""
     seen = []
 
     def predict(*_, **__):

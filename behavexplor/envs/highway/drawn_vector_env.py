@@ -94,7 +94,7 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
 
     @property
     def short_traces(self) -> bool:
-        """Whether episodes are counted instead of recorded, which is many times as fast. It is False at first.
+        """True if episodes are counted instead of recorded, which is many times as fast. It is False at first.
 
         `infos["trace"]` then has a trace of a single frame for an episode without failure, and None for any other.
         Scenarios must be drawn from `logical`, since they are not checked.
