@@ -208,7 +208,7 @@ def make_vector_env(
     """Make the vector form of an environment of `make_env`, with autoreset disabled; None if it has none.
 
     The vector form of a highway-env environment begins its episodes in `env`, and does not exist with `changes`, which
-    replace keys of the configuration. Without `rewards`, these are 0, and a compiled environment takes its steps faster.
+    replace keys of the configuration. Without `rewards`, these are 0, and a compiled environment is faster.
 
     Raises:
         InputError: if the vector form does not support the configuration.
