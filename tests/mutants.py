@@ -1,6 +1,6 @@
 """How strong the tests are: small faults are planted in the package, one at a time, and the tests must find them.
 
-    python -m tests.mutants --seed 1 --count 60 --out mutants.txt
+    python -m tests.mutants --seed 1 --count 60
 
 A fault stands in a random line of code, as real ones look: another comparison, sign or constant, an argument or a
 statement left out, `and` for `or`, `min` for `max`. For each, the tests of its folder run; those that survive also meet

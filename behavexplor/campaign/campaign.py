@@ -257,12 +257,12 @@ class Campaign:
     def _begun(self, candidate: Candidate) -> _Pending:
         """Let a worker execute a candidate, and a judge judge it if there are any."""
         judges, drawn, scenario = self._judges, "", ""
-        if isinstance(candidate, UniformCandidate) and judges is not None and judges.can_draw:
+        if isinstance(candidate, UniformCandidate) and judges is not None and judges.will_draw():
             drawn = json.dumps([candidate.seed, candidate.number])
         else:
             scenario = encode_json(candidate.scenario.to_dict())
         result = self._submit(candidate.number, drawn or scenario)
-        if judges is None or not (drawn or judges.are_ready):
+        if judges is None or not (drawn or judges.ready()):
             return _Pending(candidate, result, scenario)
         return _Pending(candidate, result, scenario, judges.follow(result, drawn.encode()))
 

@@ -15,13 +15,13 @@ from types import MappingProxyType
 from typing import Any
 
 from behavexplor.campaign.database_file import AUXILIARY, UNREADABLE, connect, wal_of
-from behavexplor.campaign.folder_format import FORMAT, SCHEMA
+from behavexplor.campaign.folder_format import DATABASE_FORMAT, SCHEMA
 
 _LEAST_ROW = 64  # least size of a row [bytes]
 _ROWS_AT_ONCE = 500
 _DAMAGED = (*UNREADABLE, sqlite3.SQLITE_ERROR)  # the last for invalid JSON
 
-_BEGINNING = f"BEGIN IMMEDIATE; {SCHEMA} INSERT INTO meta VALUES ('format', '{FORMAT}'); COMMIT;"  # noqa: S608
+_BEGINNING = f"BEGIN IMMEDIATE; {SCHEMA} INSERT INTO meta VALUES ('format', '{DATABASE_FORMAT}'); COMMIT;"  # noqa: S608
 _WHOLE = "SELECT id, record, trace, elapsed, checksum, record_checksum FROM executions"
 _BRIEF = "SELECT id, record, NULL, elapsed, checksum, record_checksum FROM executions"
 _INSERT = (

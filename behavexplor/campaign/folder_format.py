@@ -1,4 +1,7 @@
-"""The format of a run folder: its files, the tables of its database, and what may be lost of them."""
+"""The format of a run folder: the files that a campaign writes, the tables of its database, and what may be lost.
+
+What triage and minimization add is in `behavexplor.triage.findings`; docs/reference/runs.md tells of all files.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,7 +12,7 @@ CONFIG: Final = "config.yaml"  # the configuration of the campaign
 DATABASE: Final = "campaign.db"  # its executions, with their traces
 FAILURES: Final = "failures"  # folder with the records of failed executions, a file each
 LOCK: Final = "campaign.lock"  # held by the process that writes
-FORMAT: Final = "3"  # version of the database
+DATABASE_FORMAT: Final = "3"  # version of the database
 
 SCHEMA: Final = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;

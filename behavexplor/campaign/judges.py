@@ -9,7 +9,7 @@ import json
 import math
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 from threading import Lock
@@ -35,10 +35,10 @@ from behavexplor.judge.specs import SPECS
 
 JUDGE: Final = "judge"  # function of the service
 WORKERS_OF_A_JUDGE: Final = 4  # a trace takes longer to drive than to judge
-LEAST: Final = 1500  # executions of a campaign for which it pays to start processes
-MOST: Final = 64  # traces that are judged at a time
+LEAST_EXECUTIONS: Final = 1500  # of a campaign for which it pays to start processes
+MOST_IN_GROUP: Final = 64  # traces that are judged at a time
 PATIENCE: Final = 600.0  # time limit of a group [s]
-FRAMES: Final = 31  # of the trace of `pass_by`
+PASS_BY_FRAMES: Final = 31
 _END: Final = b"\0"  # of the texts about a trace
 _SPEED: Final = 10.0  # [m/s]
 
@@ -59,13 +59,13 @@ class JudgeService(Service):
         self.functions = {JUDGE: self._judge}
 
     def _judge(self, request: bytes) -> bytes:
-        parts = iter(unpacked(request))
-        pairs = zip(parts, parts, strict=True)
-        return packed([judged(data, drawn, self._logical, nearness=self._nearness) for drawn, data in pairs])
+        parts = unpacked(request)  # two for each trace, see `Judges._send`
+        pairs = zip(parts[::2], parts[1::2], strict=True)
+        return packed([judged(data, drawn, self._logical, nearness=self._nearness) for data, drawn in pairs])
 
     def confine(self) -> None:
         """Give up the rights of this process, because traces come from processes of third-party code."""
-        keep_code_in(Path(tempfile.mkdtemp()))
+        keep_code_in(Path(tempfile.mkdtemp()))  # from then on nothing else can be written
         confine()
 
     def begin(self) -> None:
@@ -77,15 +77,15 @@ class _Driven(NamedTuple):
     """A trace that waits for its judgment."""
 
     judging: "Future[Judgment]"
-    drawn: bytes  # the seed and the number by which its scenario was drawn; empty if the campaign knows the scenario
     data: bytes
+    drawn: bytes  # the seed and the number by which its scenario was drawn; empty if the campaign knows the scenario
 
 
 class Judges:
     """Processes that judge the traces of a campaign, which arrive one by one and are judged in groups.
 
-    A group begins as soon as a process is free, with all traces that have arrived until then. There are none if no
-    workers drive. With `nearness`, the traces know how near they came to a failure.
+    A group begins as soon as a process is free, with all traces that have arrived until then. There are no processes if
+    `n_workers` is 0. With `nearness`, the traces know how near they came to a failure.
     """
 
     def __init__(self, n_workers: int, logical: LogicalScenario | None = None, *, nearness: bool = False) -> None:
@@ -93,26 +93,29 @@ class Judges:
         self._settings: dict[str, Any] = {"nearness": nearness}
         if logical:
             self._settings |= {"env": logical.name, "logical": logical.to_json()}
-        self._knows = logical is not None and bool(logical.to_json() or logical.name in LOGICAL_SCENARIOS)
+        self._knows_scenario = logical is not None and bool(logical.to_json() or logical.name in LOGICAL_SCENARIOS)
         self._pool: WorkerPool | None = None
         self._begun: Future[bytes] | None = None
         self._lock = Lock()  # guards the following fields, which the threads of two executors change
         self._waiting: list[_Driven] = []
         self._groups = 0  # under way
 
-    @property
-    def are_ready(self) -> bool:
-        """True if traces can be given to `follow`. The first question starts the processes."""
+    def ready(self) -> bool:
+        """Start the processes on the first call. Return whether they have begun, so that `follow` can be called."""
         if self._pool is None and self._count:
             recipe = Recipe(f"{__name__}:{JudgeService.__name__}", self._settings, batched=JUDGE)
             self._pool = WorkerPool(self._count, recipe, PATIENCE, math.inf)
             self._begun = self._pool.submit(JUDGE, b"")
         return self._begun is not None and self._begun.done() and self._begun.exception() is None
 
-    @property
-    def can_draw(self) -> bool:
-        """True if they will draw the scenarios of uniform candidates, which can be given to `follow` at once."""
-        return self._knows and (self.are_ready or (self._begun is not None and not self._begun.done()))
+    def will_draw(self) -> bool:
+        """Start the processes on the first call. Return whether `follow` can be called for uniform candidates already.
+
+        If the processes are still beginning, they will draw their scenarios then.
+        """
+        is_ready = self.ready()
+        is_beginning = self._begun is not None and not self._begun.done()
+        return self._knows_scenario and (is_ready or is_beginning)
 
     def follow(self, driven: "Future[bytes]", drawn: bytes = b"") -> "Future[Judgment]":
         """Return the future judgment of a trace that is being driven.
@@ -134,20 +137,20 @@ class Judges:
     def _take(self, judging: "Future[Judgment]", drawn: bytes, driven: "Future[bytes]") -> None:
         try:
             data = driven.result()
-        except (Exception, CancelledError) as error:
+        except Exception as error:
             judging.set_exception(error)
             return
         with self._lock:
-            self._waiting.append(_Driven(judging, drawn, data))
+            self._waiting.append(_Driven(judging, data, drawn))
         self._send()
 
     def _send(self) -> None:
         with self._lock:
             if not self._waiting or self._groups >= self._count or self._pool is None:
                 return
-            group, self._waiting = self._waiting[:MOST], self._waiting[MOST:]
+            group, self._waiting = self._waiting[:MOST_IN_GROUP], self._waiting[MOST_IN_GROUP:]
             self._groups += 1
-            answer = self._pool.submit(JUDGE, packed([part for one in group for part in (one.drawn, one.data)]))
+            answer = self._pool.submit(JUDGE, packed([part for one in group for part in (one.data, one.drawn)]))
         answer.add_done_callback(partial(self._settle, group))
 
     def _settle(self, group: "Sequence[_Driven]", answer: "Future[bytes]") -> None:
@@ -155,8 +158,8 @@ class Judges:
             self._groups -= 1
         try:
             for one, found in zip(group, unpacked(answer.result()), strict=True):
-                _set(one.judging, one.data, found)
-        except (Exception, CancelledError) as error:
+                _resolve(one.judging, one.data, found)
+        except Exception as error:
             for one in group:
                 if not one.judging.done():
                     one.judging.set_exception(error)
@@ -166,10 +169,13 @@ class Judges:
 def judged(data: bytes, drawn: bytes = b"", logical: LogicalScenario | None = None, *, nearness: bool = False) -> bytes:
     """Judge the bytes of a trace by the built-in specs.
 
-    Return the members of a `behavexplor.campaign.judgment.Judgment`, a line each, and after a zero the ego's states as
-    float32, see `behavexplor.behavior.features.state_matrix`; or a line with an error in place of the figures if the
-    bytes are no trace, which is the failure of the driver. Two lines follow: the scenario, if it was `drawn` by a seed
-    and a number, and the nearness to a failure, if it is asked for.
+    Return lines of text, a zero byte, and the ego's states as float32, see
+    `behavexplor.behavior.features.state_matrix`. The lines are
+
+    - the members of a `behavexplor.campaign.judgment.Judgment`, a line each; or only the member `error` if the bytes
+      are no trace, which is the driver's failure. Then there are no states;
+    - the scenario as JSON, if it was `drawn` by a seed and a number, else an empty line;
+    - the nearness to a failure as JSON, if it is asked for, else an empty line.
     """
     try:
         found = judgment(data, None, SPECS)
@@ -180,8 +186,8 @@ def judged(data: bytes, drawn: bytes = b"", logical: LogicalScenario | None = No
     return "\n".join([*found.members, scenario, near]).encode() + _END + state_matrix(found.trace).tobytes()
 
 
-def _set(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
-    """Set what `judged` has returned on a future."""
+def _resolve(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
+    """Give a future its judgment, or the driver's failure, as `judged` has told them."""
     head, _, states = found.partition(_END)
     *members, scenario, near = head.decode().split("\n")
     values = json.loads(json_object(members))
@@ -196,13 +202,15 @@ def _set(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
 
 def pass_by() -> Trace:
     """Return a trace of an ego that passes a standing vehicle."""
-    time = np.arange(FRAMES) / 20
-    position, velocity = np.zeros((2, FRAMES, 2, 2))
-    position[:, 0, 0], position[:, 1], velocity[:, 0, 0] = _SPEED * time, (8.0, 4.0), _SPEED
+    time = np.arange(PASS_BY_FRAMES) / 20
+    position, velocity = np.zeros((2, PASS_BY_FRAMES, 2, 2))
+    position[:, 0, 0] = _SPEED * time
+    velocity[:, 0, 0] = _SPEED
+    position[:, 1] = 8.0, 4.0
     return Trace(
         time=time,
         position=position,
-        heading=np.zeros((FRAMES, 2)),
+        heading=np.zeros((PASS_BY_FRAMES, 2)),
         velocity=velocity,
         size=np.array([[5.0, 2.0], [5.0, 2.0]]),
         actions=np.zeros((0, 1)),

@@ -15,7 +15,7 @@ from behavexplor.ads.interface import ADS
 from behavexplor.behavior.miner import NoveltyArchive, k_means
 from behavexplor.campaign.campaign import TOGETHER, Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, point_to_latest, stored_config
-from behavexplor.campaign.judges import FRAMES, LEAST, Judges, pass_by
+from behavexplor.campaign.judges import LEAST_EXECUTIONS, PASS_BY_FRAMES, Judges, pass_by
 from behavexplor.campaign.progress import Stage
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.same_driver import check_identity, identity_of
@@ -128,7 +128,7 @@ def _recipe(config: CampaignConfig) -> Recipe:
 
 def _judges(config: CampaignConfig, workers: int, logical: LogicalScenario) -> Judges | None:
     """Return the judges of a campaign; None for a short one, without workers, or if the user's own specs judge, too."""
-    is_long = (Budget.parse(config.budget).executions or LEAST) >= LEAST
+    is_long = (Budget.parse(config.budget).executions or LEAST_EXECUTIONS) >= LEAST_EXECUTIONS
     if not (workers and is_long) or config.specs:
         return None
     nearness = getattr(load_method(config.method), "uses_nearness", False)
@@ -186,7 +186,7 @@ def load_analysis() -> None:
     The first campaign on a machine compiles that code here. Otherwise, its first execution would wait for it.
     """
     k_means(np.eye(2), 1, ["random"], 0)
-    unpack_motion(np.zeros((1, 2, FRAMES), dtype=np.uint8), FRAMES, RESOLUTION)
+    unpack_motion(np.zeros((1, 2, PASS_BY_FRAMES), dtype=np.uint8), PASS_BY_FRAMES, RESOLUTION)
     trace = pass_by()
     judge(trace)
     NoveltyArchive().observe(trace)

@@ -17,7 +17,7 @@ from typing import IO, Any, Self
 
 from behavexplor.campaign import database_rows
 from behavexplor.campaign.database_file import connect, lock_folder
-from behavexplor.campaign.folder_format import CONFIG, DATABASE, FAILURES, FORMAT, LOCK, Losses, failure_path
+from behavexplor.campaign.folder_format import CONFIG, DATABASE, DATABASE_FORMAT, FAILURES, LOCK, Losses, failure_path
 from behavexplor.campaign.progress import known_stages
 from behavexplor.campaign.record import Record, json_object
 from behavexplor.data.durable import check_no_file, folder_in, write_durably, write_whole
@@ -385,11 +385,11 @@ def _check_readable(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _check_format(path: Path, found: str) -> None:
-    if found == FORMAT:
+    if found == DATABASE_FORMAT:
         return
     other = re.fullmatch(r"[1-9]\d{0,8}", found)
     mend = "another version of behavexplor wrote it" if other else "it is damaged, or not a campaign's database"
-    raise InputError(f"{path} has format {found:.20}, but this version reads {FORMAT}: {mend}")
+    raise InputError(f"{path} has format {found:.20}, but this version reads {DATABASE_FORMAT}: {mend}")
 
 
 def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:

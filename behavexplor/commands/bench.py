@@ -66,9 +66,8 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     """
     chosen = read_experiment(experiment)
     if not tables_only:
-        said: dict[str, Any] = {"trust": trust, **({"unconfined": True} if unconfined else {})}
-        check_said_twice({"trust": chosen.trust, "unconfined": chosen.unconfined}, said, experiment)
-    trusted = tuple(dict.fromkeys((*chosen.trust, *trust)))
+        _check_consent(chosen, trust, experiment, unconfined=unconfined)
+    trusted = tuple(dict.fromkeys((*chosen.trust, *trust)))  # each digest once
     chosen = replace(chosen, trust=trusted, unconfined=unconfined or chosen.unconfined)
     jobs = _checked_jobs(jobs, cluster)
     root = out or RUNS / chosen.name
@@ -76,7 +75,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     runs = [run for run in chosen.runs() if run not in archived]
     if dry_run:
         for run in runs:
-            method_options(run.config)
+            method_options(run.config)  # raises if they are invalid
         say(_plan(chosen, runs, root, jobs))
         return OK
     code = OK
@@ -91,6 +90,14 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     if summaries:
         say(f"Report: {root / PAGE}")
     return code
+
+
+def _check_consent(chosen: Experiment, trust: tuple[str, ...], file: str, *, unconfined: bool) -> None:
+    """Check that the consent in the experiment's file and that of the flags do not contradict each other."""
+    given: dict[str, Any] = {"trust": trust}
+    if unconfined:
+        given["unconfined"] = True
+    check_said_twice({"trust": chosen.trust, "unconfined": chosen.unconfined}, given, file)
 
 
 def _checked_jobs(jobs: int | None, cluster: str) -> int:
@@ -120,9 +127,10 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
     )
     at_a_time = jobs or available_cores()  # of a cluster the number of nodes is unknown here
     seconds = forecast(experiment, runs, root, at_a_time)
-    going = f"{counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time"
-    whole = f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}"
-    return f"{wrapped(whole)}\n{wrapped(f'{finished} finished; {going}')}"
+    forecasted = f"about {clock(seconds)} with {at_a_time} at a time"
+    first = f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}"
+    second = f"{finished} finished; {counted(left, 'execution')} left, {forecasted}"
+    return f"{wrapped(first)}\n{wrapped(second)}"
 
 
 def _prepare(experiment: Experiment, root: Path) -> None:
@@ -189,12 +197,12 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     printed = "\n\n".join(map(text, made)) + "\n"
     drawn = curves(experiment, summaries)
     files = {"summaries.csv": summaries_csv(summaries), "tables.txt": printed, "curves.csv": curves_csv(drawn)}
-    files |= {f"tables/{table.name}.{kind}": made for table in made for kind, made in _files(table).items()}
+    files |= {f"tables/{table.name}.{kind}": content for table in made for kind, content in _files(table).items()}
     figure = curves_svg(drawn)
     if figure is not None:
         files["curves.svg"] = figure
-    first = headline(experiment, summaries)
-    files[PAGE] = experiment_page(experiment, summaries, [*first, *made], drawn)
+    verdicts = headline(experiment, summaries)
+    files[PAGE] = experiment_page(experiment, summaries, [*verdicts, *made], drawn)
     try:
         folder_in(root, "tables")
         for name, content in files.items():
@@ -202,9 +210,9 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
         write_archive(campaigns, root)
     except OSError as error:
         raise InputError(f"The tables in {root} cannot be written: {error.strerror}") from None
-    for table in first:
-        notes = (wrapped(note) for note in table.notes)
-        say("\n\n".join([wrapped(table.title), *map(text, _by_scenario(table)), *notes]) + "\n")
+    for table in verdicts:
+        parts = [wrapped(table.title), *map(text, _by_scenario(table)), *map(wrapped, table.notes)]
+        say("\n\n".join(parts) + "\n")
     say(f"All tables: {root / 'tables.txt'}")
 
 
@@ -213,7 +221,7 @@ def _by_scenario(table: Table) -> list[Table]:
     columns = table.columns[1:]
     names = dict.fromkeys(str(row[0]) for row in table.rows)
     rows = {name: tuple(row[1:] for row in table.rows if row[0] == name) for name in names}
-    return [Table(table.name, name, columns, own, (len(own),)) for name, own in rows.items()]
+    return [Table(table.name, name, columns, own, blocks=(len(own),)) for name, own in rows.items()]
 
 
 def _files(table: Table) -> dict[str, str]:

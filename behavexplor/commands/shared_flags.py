@@ -55,7 +55,7 @@ def flag(metavar: str | None, default: object) -> Any:
 
 @dataclass(frozen=True)
 class Running:
-    """How a command runs a driver again that a folder names.
+    """How a command runs again the driver that a folder names.
 
     Attributes:
         workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the driver;
@@ -84,49 +84,57 @@ HowToRun = Annotated[Running, tyro.conf.arg(name="")]  # a parameter whose field
 
 
 def settings(kind: type, names: str, box: str = "", **other: tuple[object, str]) -> Any:
-    """Return the argument settings of a parameter that takes flags: one for each of some settings.
+    """Return tyro's settings of a parameter that is a group of flags, one for each of some fields of a dataclass.
 
     Name, type, default and description of a flag are those of the field. The parameter gets the values of the flags
-    that were given, by the names of the fields. A configuration of the environment is given as a YAML file.
+    that were given, by the names of the fields.
 
-    `names` gives the fields in the order of the help text, and `box` a title if they have a box of their own there.
-    `other` gives other defaults for it, with a text that is added to the description.
+    Args:
+        kind: the dataclass.
+        names: its fields that are flags, such as "env ads seed", in the order of the help text.
+        box: title of the flags in the help text, if they have a box of their own there.
+        other: by field, the default that the help text shows instead of the field's, and a text that is added to the
+            description. They change no value.
     """
-    texts, types, known = described(kind), get_type_hints(kind), {one.name: one for one in fields(kind)}
+    texts, types = described(kind), get_type_hints(kind)
+    defaults = {one.name: one.default for one in fields(kind)}
     parameters = []
-    for one in map(known.__getitem__, names.split()):
-        default, more = other.get(one.name, (one.default, ""))
-        shown = "" if default in (MISSING, None, ()) else f"(default: {default})"
-        what = tyro.conf.arg(
-            name=_SINGULAR.get(one.name, one.name),
+    for name in names.split():
+        shown, more = other.get(name, (defaults[name], ""))
+        argument = tyro.conf.arg(
+            name=_SINGULAR.get(name, name),
             prefix_name=False,
-            metavar=_METAVARS.get(one.name) or _METAVARS.get(types[one.name]),
-            help_behavior_hint=shown,
-            help=f"{texts.get(one.name, '')}{more}",  # python -OO has no descriptions
+            metavar=_METAVARS.get(name) or _METAVARS.get(types[name]),
+            help_behavior_hint="" if shown in (MISSING, None, ()) else f"(default: {shown})",
+            help=f"{texts.get(name, '')}{more}",  # python -OO has no descriptions
         )
-        parameters.append(Parameter(one.name, Parameter.KEYWORD_ONLY, annotation=_flag_type(types[one.name], what)))
+        parameters.append(_flag_parameter(name, types[name], argument))
     return tyro.conf.arg(name=box, constructor=_taker(parameters))
 
 
-def _flag_type(kind: Any, what: Any) -> Any:
+def _flag_parameter(name: str, kind: Any, argument: Any) -> Parameter:
+    """Return the parameter of a flag that may be left out.
+
+    The flag of a tuple is given several times, and that of a mapping is the path of a YAML file.
+    """
     if get_origin(kind) is tuple:
-        return Annotated[kind, tyro.conf.UseAppendAction, what]
+        repeated = Annotated[kind, tyro.conf.UseAppendAction, argument]
+        return Parameter(name, Parameter.KEYWORD_ONLY, default=(), annotation=repeated)
     if any(get_origin(one) in (dict, Mapping) for one in (kind, *get_args(kind))):
         kind = Path
-    return Annotated[kind | None, tyro.conf.DisallowNone, what]
+    optional = Annotated[kind | None, tyro.conf.DisallowNone, argument]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=optional)
 
 
 def _taker(parameters: Sequence[Parameter]) -> Callable[..., dict[str, Any]]:
-    """Return a function with these parameters that returns the given ones."""
+    """Return a function with these parameters that returns those that were given, with the contents of YAML files."""
 
     def given(**values: Any) -> dict[str, Any]:
         found = {name: value for name, value in values.items() if value not in (None, ())}
         return {name: read_env_config(value) if isinstance(value, Path) else value for name, value in found.items()}
 
-    defaults = {one.name: () if get_origin(get_args(one.annotation)[0]) is tuple else None for one in parameters}
-    shown = [one.replace(default=defaults[one.name]) for one in parameters]
-    given.__signature__ = Signature(shown)  # type: ignore[attr-defined]
-    given.__annotations__ = {**{one.name: one.annotation for one in shown}, "return": dict[str, Any]}
+    given.__signature__ = Signature(parameters)  # type: ignore[attr-defined]  # tyro reads it
+    given.__annotations__ = {**{one.name: one.annotation for one in parameters}, "return": dict[str, Any]}
     return given
 
 
@@ -138,8 +146,8 @@ def read_env_config(file: Path) -> dict[str, Any]:
 def described(kind: type) -> dict[str, str]:
     """Return the descriptions of a dataclass's fields by name, from its docstring and from those of its parents."""
     found: dict[str, str] = {}
-    for one in kind.__mro__[::-1]:
-        listed = cleandoc(one.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+    for cls in kind.__mro__[::-1]:
+        listed = cleandoc(cls.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
         entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", listed, re.MULTILINE)
         found |= {name: " ".join(text.split()) for name, text in entries}
     return found

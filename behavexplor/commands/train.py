@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 CARD = "policy.yaml"  # file beside the network
 EVALUATED = 1000  # number of scenarios in the final evaluation
+EVALUATION_SEED = 0
 
 
 def train(
@@ -70,8 +71,9 @@ def train(
         with Meter(sys.stderr, config.steps, "steps", quiet=quiet) as meter:
             network = training.train(config, folder, lambda learned: meter.show(learned.steps, progress_line(learned)))
         with Meter(sys.stderr, EVALUATED, "scenarios", quiet=quiet) as meter:
-            executor = start_judge(Target(config.env, str(network)), 0)  # the network is plain numbers
-            found = estimate_rates(executor, logical_scenario(config.env), EVALUATED, 0, meter.show)
+            # without worker processes, as a network of plain numbers runs no code of others
+            executor = start_judge(Target(config.env, str(network)), 0)
+            found = estimate_rates(executor, logical_scenario(config.env), EVALUATED, EVALUATION_SEED, meter.show)
     except KeyboardInterrupt:
         say(f"Interrupted; resume with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)
         return INTERRUPTED
@@ -89,6 +91,6 @@ def _card(config: "TrainingConfig", found: Evaluation) -> str:
     card: dict[str, Any] = {
         "trained_by": shlex.join([*command, "--seed", str(config.seed), "--envs", str(config.envs)]),
         "training": {**asdict(config), "layers": list(config.layers)},
-        "evaluation": {"scenarios": found.n, "seed": 0, "rates": rates},
+        "evaluation": {"scenarios": found.n, "seed": EVALUATION_SEED, "rates": rates},
     }
     return yaml.safe_dump(card, sort_keys=False, width=120)

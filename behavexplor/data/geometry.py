@@ -101,8 +101,8 @@ def changed_frames(position: Floats, heading: Floats) -> Ints:
 def distances_from_first(position: Floats, heading: Floats, size: Floats, frame: Ints, vehicle: Ints) -> Floats:
     """Compute the shortest distances between the first vehicle's box and those of others, shape (n,) [m].
 
-    They are 0 if the boxes touch. Centers have the shape (T, N, 2) [m], headings (T, N) [rad], sizes (N, 2) [m];
-    `frame` and `vehicle` say of which pair each distance is, shape (n,).
+    They are 0 if the boxes touch. Centers have the shape (T, N, 2) [m], headings (T, N) [rad], sizes (N, 2) [m].
+    Distance k is that from vehicle `vehicle[k]` in frame `frame[k]`; both have the shape (n,).
     """
     turned = np.stack([heading[frame, 0], heading[frame, vehicle]])
     gaps = np.empty(len(frame))
@@ -125,11 +125,15 @@ def distances_from_segments(position: Floats, heading: Floats, size: Floats, seg
 
 
 def near_segments(points: Floats, segments: Floats, reach: float, within: float) -> tuple[Ints, Ints, float]:
-    """Find the pairs of boxes and segments (m, 2, 2) that may have the least distance.
+    """Find the pairs of boxes and segments that may have the least distance.
 
-    The points, shape (n, 2) [m], are the boxes' centers and follow one another. A circle of the radius `reach` is
-    around each box, one of the radius `within` inside it [m]. Return the indices of the points and of the segments, and
-    an upper bound of the least distance [m].
+    Return the indices of the points and of the segments, and an upper bound of the least distance [m].
+
+    Args:
+        points: centers of the boxes, one after the other along their way, shape (n, 2) [m].
+        segments: shape (m, 2, 2) [m].
+        reach: radius of a circle around each box [m].
+        within: radius of a circle inside each box [m].
     """
     blocks = math.ceil(len(points) / box_kernels.BLOCK)
     gaps = np.empty((blocks, len(segments)))
@@ -176,9 +180,9 @@ def segment_meets_box(box: Floats, segment: Floats) -> Bools:
 
 
 def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Floats]:
-    """Project T points on a polyline, (P, 2), P >= 2 [m], whose segments are about equally long.
+    """Project points, shape (T, 2) [m], on a polyline, shape (P, 2), P >= 2 [m].
 
-    Only the segments around a point's nearest vertex are considered.
+    Its segments must be about equally long, as only those around a point's nearest vertex are considered.
 
     Return the station of each projected point [m], and the polyline's heading at that station [rad], interpolated
     between the middles of the segments, each of shape (T,).
@@ -192,9 +196,10 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
 
 @lru_cache(maxsize=8)  # all traces of a scene have the same route
 def _pieces(vertices: bytes) -> tuple[Floats, Floats, Floats]:
-    """Return directions and lengths of segments, (P - 1, 3), the stations of vertices, and headings without jumps.
+    """Return the segments, the stations of the vertices, shape (P,) [m], and the headings of the segments.
 
-    `vertices` are the bytes of floats of shape (P, 2), because the cache needs a key.
+    A segment is its direction, as a unit vector, and its length, shape (P - 1, 3) [m]. Headings, shape (P - 1,) [rad],
+    have no jumps by a whole turn. `vertices` are the bytes of floats of shape (P, 2), because the cache needs a key.
     """
     along = np.diff(np.frombuffer(vertices).reshape(-1, 2), axis=0)
     length = np.hypot(along[:, 0], along[:, 1])

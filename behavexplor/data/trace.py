@@ -17,7 +17,7 @@ from behavexplor.data.untrusted import MAX_ARRAY_BYTES, read_file
 from behavexplor.errors import InputError
 
 RESOLUTION = 1e-9  # precision of recorded motion, in m, rad and m/s
-FORMAT = 3
+TRACE_FORMAT = 3
 MOST_FRAMES = 1_000_000
 MOST_PLACES = MOST_VALUES // 2  # of all vehicles in all frames
 LONGEST = 100_000.0  # duration of an episode [s]; 10 000 decisions may take so long
@@ -247,7 +247,7 @@ class Trace:
         if self.partner >= 0:
             arrays["partner"] = np.array(self.partner)
         end = np.frombuffer(self.end.encode(), dtype=np.uint8)
-        return pack_arrays({"format": np.array(FORMAT), "end": end, **arrays})
+        return pack_arrays({"format": np.array(TRACE_FORMAT), "end": end, **arrays})
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -263,8 +263,8 @@ class Trace:
         missing = {"format", "end", *_ARRAYS} - values.keys()
         if missing:
             raise InputError(f"Not a trace: {', '.join(sorted(missing))} is missing")
-        if values["format"].shape or values["format"] != FORMAT:
-            raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
+        if values["format"].shape or values["format"] != TRACE_FORMAT:
+            raise InputError(f"This trace has format {values['format']}; this version reads format {TRACE_FORMAT}")
         if sum(array.size for name, array in values.items() if name not in _PACKED) > MAX_ARRAY_BYTES // 8:
             raise InputError("Not a trace: its arrays would take more memory than those that are written")
         arrays = {name: values[name] for name in _ARRAYS}

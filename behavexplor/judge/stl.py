@@ -172,9 +172,9 @@ def until(left: Signal, right: Signal, start: float = 0.0, end: float = math.inf
     # The minimum of these is exact [4]: `left` up to the window, untimed `until` from there, `right` within the window.
     # The reason: if the untimed `until` is satisfied only after the window, `left` holds throughout the window.
     bridged = _least(left.robustness, np.arange(len(first)), first)
+    untimed = np.append(_untimed_until(left.robustness, right.robustness), -np.inf)  # the window of the last is empty
     within = -_least(-right.robustness, first, stop)
-    from_first = np.append(_untimed_until(left.robustness, right.robustness), -np.inf)[first]
-    return Signal(left.time, np.minimum(np.minimum(bridged, within), from_first))
+    return Signal(left.time, np.minimum(np.minimum(bridged, untimed[first]), within))
 
 
 def _untimed_until(left: Floats, right: Floats) -> Floats:
@@ -226,7 +226,7 @@ def _frozen(name: str, values: Any) -> Floats:
     try:
         given = np.asarray(values)
     except ValueError:  # rows of different lengths
-        given = np.asarray(None)
+        given = np.asarray(None)  # refused below, because it is no array of numbers
     if given.dtype.kind == "b":
         raise InputError(f"{name}: expected numbers, not truth values: write a margin, such as 3.0 - speed")
     if given.dtype.kind not in "iuf":

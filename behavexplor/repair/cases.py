@@ -28,7 +28,7 @@ from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
 from behavexplor.triage.findings import Finding, Minimized, trace_path
 
-FORMAT: Final = 1
+SUITE_FORMAT: Final = 1
 SUITE: Final = "suite.yaml"
 CASES: Final = "scenarios"
 TEST: Final = "test_scenarios.py"
@@ -134,8 +134,8 @@ class Suite:
             raise InputError(f"{folder} is not a suite: it has no {SUITE}; `behavexplor suite` writes one from a run")
         values = dict(read_yaml(folder / SUITE))
         found = values.pop("format", None)
-        if found != FORMAT:
-            raise InputError(f"{folder / SUITE} has format {found}, but this version reads format {FORMAT}")
+        if found != SUITE_FORMAT:
+            raise InputError(f"{folder / SUITE} has format {found}, but this version reads format {SUITE_FORMAT}")
         paths = sorted(path for path in (folder / CASES).glob("*.yaml") if path.is_file())
         if not paths:
             raise InputError(f"{folder / CASES} has no scenarios")
@@ -181,7 +181,7 @@ class Suite:
             values |= self._own_settings()
             values |= {"digests": digests} if (digests := driver_digests(self.driver, self.claim.code)) else {}
             config = {"env_config": dict(self.env_config)} if self.env_config else {}
-            write_durably(folder / SUITE, _yaml({"format": FORMAT, **values, **config}))
+            write_durably(folder / SUITE, _yaml({"format": SUITE_FORMAT, **values, **config}))
         except OSError as error:
             raise InputError(f"{folder} cannot be written: {error.strerror}") from None
 

@@ -73,8 +73,8 @@ def _blame_in_reactive_traffic(quick: Kind, scenario: Any, rng: np.random.Genera
     """Return the verdict on a crash in a highway-env environment, see `behavexplor.triage.closed_loop`."""
     if quick not in ("other", "npc_wreck"):
         return Blame(quick, in_junction=False)
-    driver, tried, found = find_driver(scenario, rng)
-    return Blame(found or quick, in_junction=False, witness=driver, tried=tried)
+    others = find_driver(scenario, rng)
+    return Blame(others.answer or quick, in_junction=False, witness=others.driver, tried=others.tried)
 
 
 def in_junction(roadmap: RoadMap, trace: Trace) -> bool:

@@ -13,7 +13,7 @@ import json
 import math
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -36,13 +36,22 @@ RANDOM: Final = 11  # drivers of random actions
 HELD: Final = 2  # decisions for which such a driver keeps an action
 MOST_DECISIONS: Final = 500
 STANDING_STILL: Final = "standing still"  # what a witness is called that avoids the crash by no more than that
-BEYOND: Final = 3  # decisions after the crash without another one, which count as survival
-MOST_BACK: Final = 4  # decisions before the crash
-MOST_BRANCHINGS: Final = 300  # states from which all actions are driven
+BEYOND: Final = 3  # decisions after that of the crash for which a sequence of actions must survive
+MOST_BACK: Final = 4  # last decisions before the crash that are examined
+MOST_BRANCHINGS: Final = 300  # states from which all actions are driven before the search is given up
 
 Actions = Ints
 State = tuple[Array, ...]  # copy of the state of an episode
-Found = Literal["preventable", "standing_still_avoids_it", "unpreventable"] | None
+Answer = Literal["preventable", "standing_still_avoids_it", "unpreventable"]
+
+
+class OtherDrivers(NamedTuple):
+    """What other drivers tell of a crash."""
+
+    # the first one that keeps all requirements; one that only stands in the end only if no other one does
+    driver: OtherDriver | None
+    tried: int  # number of drivers; 0 if they cannot drive in the environment
+    answer: Answer | None  # None if none was tried, or if those without a crash failed in another way
 
 
 class ScriptedDriver:
@@ -69,27 +78,25 @@ class ScriptedDriver:
         return rows[:, min(decision, rows.shape[1] - 1)], decision + 1
 
 
-def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> tuple[OtherDriver | None, int, Found]:
-    """Find a driver that keeps all requirements of the environment in a scenario.
-
-    Return the first one, rather one that does not stand still in the end, or None; the number of drivers that were
-    tried, 0 if they cannot drive there; and what that says of the crash, None if others only failed in another way.
-    """
-    constant, random = [f"always {name}" for name in CONSTANT], [f"random actions {i}" for i in range(1, RANDOM + 1)]
-    names = ["careful", *constant, *random]
+def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> OtherDrivers:
+    """Find a driver that keeps all requirements of the environment in a scenario."""
+    names = ["careful"]
+    names += [f"always {name}" for name in CONSTANT]
+    names += [f"random actions {i}" for i in range(1, RANDOM + 1)]
     try:
         traces = _driven(scenario, _actions(rng))
     except (InputError, ADSError):  # the latter where the environment has a wrapper of its own around what they see
-        return None, 0, None
+        return OtherDrivers(None, 0, None)
     good = [pair for pair in zip(names, traces, strict=True) if not judge(pair[1]).failed]
     if good:
-        name, trace = min(good, key=lambda pair: _only_stands(pair[1]))
+        name, trace = next((pair for pair in good if not _only_stands(pair[1])), good[0])
         shown = f"{STANDING_STILL} ({name})" if _only_stands(trace) else name
-        return OtherDriver(shown, tuple(trace.actions[:, 0].astype(int).tolist())), len(traces), "preventable"
+        driver = OtherDriver(shown, tuple(trace.actions[:, 0].astype(int).tolist()))
+        return OtherDrivers(driver, len(traces), "preventable")
     safe = [trace for trace in traces if not trace.signals[CRASHED].any()]
-    if any(map(_stands, safe)):
-        return None, len(traces), "standing_still_avoids_it"
-    return None, len(traces), None if safe else "unpreventable"
+    if not safe:
+        return OtherDrivers(None, len(traces), "unpreventable")
+    return OtherDrivers(None, len(traces), "standing_still_avoids_it" if any(map(_stands, safe)) else None)
 
 
 def _stands(trace: Trace) -> bool:
@@ -121,16 +128,16 @@ def _driven(scenario: DrawnScenario, actions: Actions) -> list[Trace]:
     same = replace(scenario, setup=env.logical.setup)
     try:
         return [
-            *_compiled(careful, scenario, same, 1),
-            *_compiled(ScriptedDriver(actions), scenario, same, len(actions)),
+            *_compiled(scenario.setup, careful, same, 1),
+            *_compiled(scenario.setup, ScriptedDriver(actions), same, len(actions)),
         ]
-    except InputError:
+    except InputError:  # the environment has no compiled form
         return [rollout(env, driver, same) for driver in (careful, *(ScriptedDriver(row[None]) for row in actions))]
 
 
-def _compiled(driver: Any, scenario: DrawnScenario, same: DrawnScenario, count: int) -> list[Trace]:
-    """Return the traces of so many egos with a driver, each alone in the scenario."""
-    ended = dict(rollout_all(_lock_step(scenario.setup, count), driver, [same] * count))
+def _compiled(setup: Setup, driver: Any, scenario: DrawnScenario, count: int) -> list[Trace]:
+    """Return the traces of so many egos with a driver, each alone in a scenario of `_environment(setup)`."""
+    ended = dict(rollout_all(_lock_step(setup, count), driver, [scenario] * count))
     return [ended[row] for row in range(count)]
 
 
@@ -140,8 +147,9 @@ def _environment(setup: Setup) -> Any:
     return make_recorded(replace(setup, config=config_text(CarefulDriver().fitted(json.loads(setup.config)))))
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # with one sub-environment for the careful driver, and as many as there are others
 def _lock_step(setup: Setup, count: int) -> Any:
+    """Return a vector environment of `_environment(setup)` with so many sub-environments."""
     return make_vector_env(_environment(setup), count, {})
 
 
@@ -160,7 +168,7 @@ def last_chance(simulation: Simulation, scenario: Any, trace: Trace) -> LastChan
     if trace.end != "collision" or not scenario.meta_actions:
         return None
     branching = _branching(simulation)
-    return None if branching is None else branching.last_chance(scenario, trace.actions[:, 0].astype(np.int64))
+    return None if branching is None else branching.search(scenario, trace.actions[:, 0].astype(np.int64))
 
 
 @lru_cache(maxsize=1)  # making an environment takes longer than a search, and all failures of a run have the same
@@ -183,8 +191,8 @@ class Branching:
         self._all = np.arange(len(names))
         self._left = 0  # branchings before the search is given up
 
-    def last_chance(self, scenario: DrawnScenario, actions: Ints) -> LastChance | None:
-        """Find the last chance in an episode that ended with a crash; see `last_chance`.
+    def search(self, scenario: DrawnScenario, actions: Ints) -> LastChance | None:
+        """Search the last chance in an episode that ended with a crash; see `last_chance`.
 
         Args:
             scenario: the executed scenario.
@@ -197,7 +205,7 @@ class Branching:
             saving = [
                 name for name, state in zip(self._names, after, strict=True) if self._survives(state, back - 1 + BEYOND)
             ]
-            if self._left <= 0:
+            if self._left <= 0:  # not all branches were driven
                 return None
             if saving:
                 return LastChance(back, self._names[actions[-back]], tuple(saving))
@@ -209,7 +217,8 @@ class Branching:
         states, crashed = [], np.zeros(1, dtype=bool)
         for action in actions.tolist():
             states.append(self._engine.snapshot(0))
-            crashed = self._engine.step(np.full(len(self._all), action))[-1]["crashed"]
+            *_, infos = self._engine.step(np.full(len(self._all), action))  # all sub-environments do the same
+            crashed = infos["crashed"]
         return states if crashed[0] else []
 
     def _branches(self, state: State) -> list[State | None]:
@@ -217,11 +226,11 @@ class Branching:
         self._left -= 1
         for b in self._all.tolist():
             self._engine.restore(b, state)
-        crashed = self._engine.step(self._all)[-1]["crashed"]
-        return [None if crashed[b] else self._engine.snapshot(b) for b in self._all.tolist()]
+        *_, infos = self._engine.step(self._all)
+        return [None if infos["crashed"][b] else self._engine.snapshot(b) for b in self._all.tolist()]
 
     def _survives(self, state: State | None, decisions: int) -> bool:
-        """Return whether some sequence of so many actions avoids a crash."""
+        """Return whether some sequence of so many actions avoids a crash; False, too, once the search is given up."""
         if state is None or self._left <= 0:
             return False
         return decisions == 0 or any(self._survives(branch, decisions - 1) for branch in self._branches(state))

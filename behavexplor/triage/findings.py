@@ -28,7 +28,7 @@ from behavexplor.judge.events import REQUIREMENTS
 
 T = TypeVar("T")
 
-FORMAT: Final = 1  # of the files of triage and of minimization
+FINDINGS_FORMAT: Final = 1  # of the files of triage and of minimization
 TRIAGE, WITNESSES = "triage.json", "witnesses"
 _FAULTS: Final = MappingProxyType(
     {
@@ -159,7 +159,7 @@ class Triage:
 
     def write(self, folder: Path) -> None:
         """Write the findings into a run folder. The file is replaced as a whole."""
-        write_durably(folder / TRIAGE, json.dumps({"format": FORMAT, **asdict(self)}, indent=1) + "\n")
+        write_durably(folder / TRIAGE, json.dumps({"format": FINDINGS_FORMAT, **asdict(self)}, indent=1) + "\n")
 
     @property
     def classes(self) -> dict[str, list[Finding]]:
@@ -171,7 +171,7 @@ class Triage:
 
 
 def read_made(kind: type[T], path: Path, command: str) -> T:
-    """Return what a command has written into a run folder, as JSON with the fields of a dataclass and a `FORMAT`.
+    """Return what a command has written into a run folder, as JSON with a dataclass's fields and the format.
 
     Raises:
         InputError: if the file cannot be read, is damaged, or has another format version.
@@ -182,8 +182,8 @@ def read_made(kind: type[T], path: Path, command: str) -> T:
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read: {error}; {mend}") from None
     found = values.pop("format", None) if isinstance(values, dict) else None
-    if found != FORMAT:
-        raise InputError(f"{path} has format {found}, but this version reads format {FORMAT}: {mend}")
+    if found != FINDINGS_FORMAT:
+        raise InputError(f"{path} has format {found}, but this version reads format {FINDINGS_FORMAT}: {mend}")
     return checked(kind, values, str(path))
 
 
@@ -342,7 +342,7 @@ class Minimized:
         """Write the minimized failure and the trace of its scenario into a run folder."""
         write_durably(trace_path(folder, self.id), trace)
         write_durably(
-            minimized_path(folder, self.id), json.dumps({"format": FORMAT, **self.to_dict()}, indent=1) + "\n"
+            minimized_path(folder, self.id), json.dumps({"format": FINDINGS_FORMAT, **self.to_dict()}, indent=1) + "\n"
         )
 
 

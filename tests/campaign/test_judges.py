@@ -32,7 +32,7 @@ from behavexplor.judge.closest_approach import Nearness
 from behavexplor.judge.specs import SPECS, judge
 from tests.fakes import LOGICAL, simulate
 
-ARE_READY = Judges.are_ready
+READY = Judges.ready
 RNG = np.random.default_rng(0)
 TRACES = [simulate(LOGICAL.sample(RNG)).to_bytes() for _ in range(20)]
 
@@ -53,7 +53,7 @@ def judges():
 def ready(judges):
     """Wait for the processes."""
     end = time.monotonic() + 120
-    while not ARE_READY.fget(judges) and time.monotonic() < end:
+    while not READY(judges) and time.monotonic() < end:
         time.sleep(0.02)
     return judges
 
@@ -131,7 +131,7 @@ def test_each_process_has_one_group_at_a_time_with_all_that_has_come_since(worke
     made, groups, answers = Judges(workers), [], []
 
     def submit(_, data):
-        groups.append(unpacked(data)[1::2])
+        groups.append(unpacked(data)[::2])
         answers.append(Future())
         return answers[-1]
 
@@ -147,7 +147,7 @@ def test_each_process_has_one_group_at_a_time_with_all_that_has_come_since(worke
 
 
 @pytest.mark.parametrize(
-    ("workers", "logical", "begun", "can_draw"),
+    ("workers", "logical", "begun", "will_draw"),
     [
         (1, LOGICAL, None, True),  # they are still loading, and will draw
         (1, LOGICAL, b"", True),
@@ -157,13 +157,13 @@ def test_each_process_has_one_group_at_a_time_with_all_that_has_come_since(worke
     ],
 )
 def test_judges_that_know_where_they_are_draw_scenarios_from_the_beginning(
-    monkeypatch, workers, logical, begun, can_draw
+    monkeypatch, workers, logical, begun, will_draw
 ):
     first = Future()
     if begun is not None:
         (first.set_exception if isinstance(begun, Exception) else first.set_result)(begun)
     monkeypatch.setattr(judges_module, "WorkerPool", lambda *_: SimpleNamespace(submit=lambda *_: first))
-    assert Judges(workers, logical).can_draw is can_draw
+    assert Judges(workers, logical).will_draw() is will_draw
 
 
 def lasts(trace):
@@ -246,8 +246,8 @@ def run(folder, workers, **config):
 def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method, target):
     whole = run(tmp_path / "here", 0, method=method, **target)
     followed, follow = [], Judges.follow
-    monkeypatch.setattr(opening, "LEAST", 1)
-    monkeypatch.setattr(Judges, "are_ready", property(ready))
+    monkeypatch.setattr(opening, "LEAST_EXECUTIONS", 1)
+    monkeypatch.setattr(Judges, "ready", ready)
     monkeypatch.setattr(Judges, "follow", lambda self, *given: followed.append(given) or follow(self, *given))
     assert run(tmp_path / "there", 2, method=method, budget="20", **target) == whole[:20]
     assert len(followed) == 20
@@ -260,7 +260,7 @@ def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method, targ
 def test_the_drivers_failure_is_recorded_with_its_scenario_though_a_worker_has_drawn_it(tmp_path, monkeypatch):
     config = {"method": "uniform", "ads": "tests.drivers:Faulty", "budget": "3"}
     alone = run(tmp_path / "alone", 1, **config)
-    monkeypatch.setattr(opening, "LEAST", 1)
+    monkeypatch.setattr(opening, "LEAST_EXECUTIONS", 1)
     assert run(tmp_path / "judged", 1, **config) == alone
     assert {record["class"] for record, _ in alone} == {"error/raised"}
 
@@ -271,8 +271,8 @@ def test_a_judge_that_ends_is_not_the_drivers_failure(tmp_path, monkeypatch):
         driven.add_done_callback(lambda _: judging.set_exception(RuntimeError("a worker ended: its process is gone")))
         return judging
 
-    monkeypatch.setattr(opening, "LEAST", 1)
-    monkeypatch.setattr(Judges, "are_ready", property(lambda _: True))
+    monkeypatch.setattr(opening, "LEAST_EXECUTIONS", 1)
+    monkeypatch.setattr(Judges, "ready", lambda _: True)
     monkeypatch.setattr(Judges, "follow", lose)
     with pytest.raises(ExecutionError, match="Execution 0 could not be carried out: RuntimeError: a worker ended"):
         run(tmp_path / "run", 1)

@@ -49,7 +49,7 @@ def as_decisions(actions: Ints) -> Decisions:
 
 
 @kernel_inner
-def choose(preferences: Floats, accelerations: Floats, how: int, share: float) -> tuple[float, int]:
+def choose(preferences: Floats, accelerations: Floats, rule: int, share: float) -> tuple[float, int]:
     """Return the wanted acceleration [m/s2] and the lane choice of one ego.
 
     By `MEAN`, it is the mean acceleration and the most probable lane choice; by `MOST_PROBABLE`, the first most
@@ -58,9 +58,9 @@ def choose(preferences: Floats, accelerations: Floats, how: int, share: float) -
     `preferences` are the outputs of the network, shape (N_ACTIONS,), and `accelerations` those of the actions of one
     lane choice, shape (N_ACTIONS / N_LANE_CHOICES,) [m/s2].
     """
-    if how == MEAN:
+    if rule == MEAN:
         return _average(preferences, accelerations)
-    action = _at_share(preferences, share) if how == DRAWN else _greatest(preferences)
+    action = _at_share(preferences, share) if rule == DRAWN else _greatest(preferences)
     return accelerations[action % len(accelerations)], action // len(accelerations)
 
 

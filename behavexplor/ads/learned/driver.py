@@ -51,9 +51,10 @@ class LearnedDriver:
         self._network = as_network(network.layers)
         self._rule = choosing.MEAN if network.rule == "mean" else choosing.MOST_PROBABLE
         self._widest = max(widths)
+        # arguments of the smallest shapes, for whose types the kernel is compiled
         scenes = np.zeros((1, 1, N_COLUMNS))
         memory = np.zeros((1, choosing.N_MEMORIES))
-        rooms = np.empty((2, 1, self._widest))
+        rooms = np.empty((2, 1, self._widest))  # for the values of layers, see `evaluate`
         rows = np.empty(1, dtype=np.int64)
         tables = (self._course, self._network, choosing.ACCELERATION_TABLE)
         self._drive_all: Any = compiled_for(
@@ -112,6 +113,7 @@ class CourseKernels:
 
     def __init__(self, course: Course) -> None:
         self._course = course
+        # arguments of the smallest shapes, for whose types the kernels are compiled
         scenes = np.zeros((1, 1, N_COLUMNS))
         memory = np.zeros((1, choosing.N_MEMORIES))
         seen = np.zeros((1, N_FEATURES))
@@ -163,7 +165,7 @@ def _aligned(values: Floats) -> Floats:
     """Return a copy that begins where a cache line begins."""
     # Vectors that lie in two cache lines take longer to read: up to a tenth of the evaluation of a network.
     room = np.empty(len(values) + _CACHE_LINE // values.itemsize)
-    skipped = -room.ctypes.data % _CACHE_LINE // values.itemsize
+    skipped = (-room.ctypes.data % _CACHE_LINE) // values.itemsize  # values before the next cache line
     copy = room[skipped : skipped + len(values)]
     copy[:] = values
     return copy
@@ -235,7 +237,8 @@ def evaluate(network: DenseNetwork, rooms: Floats, rows: Ints) -> int:
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
 
-    `rooms`, shape (2, B, greatest width), is changed in place: the inputs are `rooms[0]`, the rest is for other layers.
+    `rooms` has the shape (2, B, greatest width), and the inputs in `rooms[0]`. Each layer reads one room and writes the
+    other one.
     """
     weight_at, bias_at, now = 0, 0, 0  # where the layer begins in weights and biases, and which room has its inputs
     for layer in range(len(network.widths) - 1):

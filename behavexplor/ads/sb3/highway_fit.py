@@ -60,12 +60,10 @@ HIGHWAY_ENVIRONMENTS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
         },
     }
 )
-_SPACES: dict[str, tuple[Any, Any]] = {
+_SPACES: dict[str, tuple[Any, Any]] = {  # of each environment, as told by `_form` and `_commands`
     "highway-v0": ((5, 5), 5),
     "intersection-v0": ((15, 7), 3),
     "intersection-v1": ((5, 8), (2,)),
-}
-_SPACES |= {
     "parking-v0": (dict.fromkeys(("achieved_goal", "desired_goal", "observation"), (6,)), (2,)),
     "lane-keeping-v0": (dict.fromkeys(("derivative", "reference_state", "state"), (4, 1)), (1,)),
 }
@@ -73,7 +71,7 @@ _OTHER_AXIS: dict[Any, str] = {  # what has the same spaces as the guess in `_ac
     3: " (or with `longitudinal: false` instead of `lateral: false`, if it only changes lanes)",
     (1,): " (or with `lateral: false` instead of `longitudinal: false`, if it only accelerates)",
 }
-_KINEMATICS = {5: _POSE, 7: [*_POSE, "cos_h", "sin_h"]}
+_KINEMATICS = {5: _POSE, 7: [*_POSE, "cos_h", "sin_h"]}  # features by their number
 
 
 def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> str:
@@ -97,10 +95,10 @@ def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.
 def fitting_config(
     observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]
 ) -> tuple[str, dict[str, Any]]:
-    """Return the environment of highway-env with a policy's spaces, "" if none has, and the configuration.
+    """Return the name of highway-env's environment with a policy's spaces, "" if none has, and a configuration.
 
-    It has the keys `observation` and `action`, as far as the spaces determine them, and, for an environment, the
-    frequencies.
+    The configuration has the keys `observation` and `action`, as far as the spaces determine them, and, for an
+    environment, the frequencies.
     """
     commands = _commands(action_space)
     for name, spaces in _SPACES.items():
@@ -123,9 +121,10 @@ def _form(space: gymnasium.Space[Any]) -> Any:
 
 
 def _observation(shape: tuple[int, ...]) -> dict[str, Any]:
-    if len(shape) == 1:  # flattened
-        fitting = [width for width in _KINEMATICS if shape[0] % width == 0]
-        return _observation((shape[0] // fitting[0], fitting[0])) if fitting else {}
+    """Return a configuration of observations of this shape; empty if none is known."""
+    if len(shape) == 1:  # the rows of vehicles one after the other, with the least number of features that is possible
+        widths = [width for width in _KINEMATICS if shape[0] % width == 0]
+        return _observation((shape[0] // widths[0], widths[0])) if widths else {}
     if len(shape) == 2 and shape[1] in _KINEMATICS:
         return {"type": "Kinematics", "vehicles_count": shape[0], "features": _KINEMATICS[shape[1]]}
     if len(shape) == 2 and shape[1] == 2:
@@ -136,6 +135,7 @@ def _observation(shape: tuple[int, ...]) -> dict[str, Any]:
 
 
 def _action(commands: int | tuple[int, ...] | None) -> dict[str, Any]:
+    """Return a configuration of actions, by their number or shape; empty if none is known."""
     known: dict[Any, dict[str, Any]] = {
         5: {"type": "DiscreteMetaAction"},
         3: {"type": "DiscreteMetaAction", "lateral": False},

@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final
 
+import numpy as np
 from highway_env.envs.merge_env import MergeEnv, MergeGenericEnv
 from highway_env.road.road import LaneIndex
 
@@ -25,6 +26,7 @@ _BEFORE_END: Final = (  # keys of the lengths before the end of the ramp
     "converge_merge_length",
     "parallel_merge_length",
 )
+_END_BEFORE: Final = 90.0  # length of the road after the end of an episode [m]
 _TRIES: Final = 10  # to place a vehicle
 _FREE: Final = 15.0  # least distance between the centers of vehicles on a lane [m]
 
@@ -44,7 +46,7 @@ KIND = TaskKind(
     is_normalized=True,
     truncates=False,
     end_x=lambda _: 370.0,  # x beyond which the merge ends [m]
-    # the merging lane if there are two others; highway-env means this lane with any number
+    # the merging lane beside two others; highway-env compares with this index whatever the number of lanes is
     is_goal=lambda index, _: index == ("b", "c", 2),
     start_lanes=lambda _: (("a", "b", 0), ("a", "b", 1), ("j", "k", 0)),  # the two of the highway, then the ramp
     n_placed=5,
@@ -75,24 +77,30 @@ def _start_lanes(config: Config) -> tuple[LaneIndex, ...]:
 
 def _put_starts(row: Any, config: Config) -> None:
     row.n_others = config["vehicles_count"] + 1  # and the one on the ramp
-    row.spacing = sum(config[key] for key in _BEFORE_END)  # the stations over which vehicles are spread
+
+
+def _ramp_end(config: Config) -> float:
+    """Return the station of the end of the ramp [m]."""
+    length: float = sum(config[key] for key in _BEFORE_END)
+    return length
 
 
 def _check(config: Config) -> None:
     KIND.check(config)
-    if config["after_merge_length"] < 90:
+    if config["after_merge_length"] < _END_BEFORE:
         raise InputError(
-            f"after_merge_length: {config['after_merge_length']} must be at least 90 m, because the "
-            "episode ends 90 m before the end of the road"
+            f"after_merge_length: {config['after_merge_length']} must be at least {_END_BEFORE:g} m, because the "
+            f"episode ends {_END_BEFORE:g} m before the end of the road"
         )
 
 
 GENERIC_KIND = replace(  # with as many lanes and vehicles as the config says
     KIND,
     env_classes=(MergeGenericEnv,),
-    end_x=lambda config: sum(config[key] for key in _BEFORE_END) + config["after_merge_length"] - 90,
+    end_x=lambda config: _ramp_end(config) + config["after_merge_length"] - _END_BEFORE,
     start_lanes=_start_lanes,
     n_placed=None,
+    start_numbers=lambda config: np.array([_ramp_end(config)]),  # vehicles are spread over the road before it
     put_starts=_put_starts,
     keys=MappingProxyType(dict.fromkeys((*_BEFORE_END, "after_merge_length"), POSITIVE)),
     check=_check,
@@ -104,14 +112,14 @@ def start_generic(world: World, task: Task, scene: Scene, words: Words) -> None:
     """Place the vehicles: `MergeGenericEnv._make_vehicles`."""
     lanes = world.network.lanes
     starts = task.starts.lanes
-    rules = task.rules[0]
+    ramp_end = task.starts.numbers[0]
     n_lanes = len(starts) - 1
     x, y = lane_point(lanes[starts[n_lanes - 1]], 30.0)
     place_vehicle(world, scene, AS_EGO, x, y, 0.0, 30.0)
-    for _other in range(rules.n_others - 1):  # but for the one on the ramp
+    for _other in range(task.rules[0].n_others - 1):  # but for the one on the ramp
         for _try in range(_TRIES):
             lane = starts[integer(words, n_lanes)]
-            x, y = lane_point(lanes[lane], uniform(words, 0.0, rules.spacing))
+            x, y = lane_point(lanes[lane], uniform(words, 0.0, ramp_end))
             if _is_free(scene, x, y):
                 place_vehicle(world, scene, AS_OTHER, x, y, 0.0, 30.0 + uniform(words, -2.0, 2.0))
                 break
@@ -122,7 +130,10 @@ def start_generic(world: World, task: Task, scene: Scene, words: Words) -> None:
 
 @kernel_inner
 def _is_free(scene: Scene, x: float, y: float) -> bool:
-    """Return whether no vehicle is within 15 m on the lane at y, which begins at x = 0."""
+    """Return whether no vehicle is within `_FREE` of x on the lane at y.
+
+    Lanes are parallel to the x axis, so the vehicles on a lane have exactly its y.
+    """
     for j in range(scene.episode.n_vehicles):
         if scene.vehicles[j].y == y and abs(x - scene.vehicles[j].x) <= _FREE:
             return False
