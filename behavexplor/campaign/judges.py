@@ -38,9 +38,9 @@ WORKERS_OF_A_JUDGE: Final = 4  # a trace takes longer to drive than to judge
 LEAST_EXECUTIONS: Final = 1500  # of a campaign for which it pays to start processes
 MOST_IN_GROUP: Final = 64  # traces that are judged at a time
 PATIENCE: Final = 600.0  # time limit of a group [s]
-PASS_BY_FRAMES: Final = 31
+PASS_BY_FRAMES: Final = 31  # of the small trace, see `pass_by`
 _END: Final = b"\0"  # of the texts about a trace
-_SPEED: Final = 10.0  # [m/s]
+_PASS_BY_SPEED: Final = 10.0  # of its ego [m/s]
 
 
 class JudgeService(Service):
@@ -103,15 +103,16 @@ class Judges:
     def ready(self) -> bool:
         """Start the processes on the first call. Return whether they have begun, so that `follow` can be called."""
         if self._pool is None and self._count:
+            # without `batched`, each of the first groups would start a process, though one process may be enough
             recipe = Recipe(f"{__name__}:{JudgeService.__name__}", self._settings, batched=JUDGE)
             self._pool = WorkerPool(self._count, recipe, PATIENCE, math.inf)
-            self._begun = self._pool.submit(JUDGE, b"")
+            self._begun = self._pool.submit(JUDGE, b"")  # of no traces: done as soon as a process has begun
         return self._begun is not None and self._begun.done() and self._begun.exception() is None
 
     def will_draw(self) -> bool:
-        """Start the processes on the first call. Return whether `follow` can be called for uniform candidates already.
+        """Start the processes on the first call. Return whether `follow` can be called with `drawn`.
 
-        If the processes are still beginning, they will draw their scenarios then.
+        It can while the processes are beginning, too: the traces wait for them.
         """
         is_ready = self.ready()
         is_beginning = self._begun is not None and not self._begun.done()
@@ -204,8 +205,8 @@ def pass_by() -> Trace:
     """Return a trace of an ego that passes a standing vehicle."""
     time = np.arange(PASS_BY_FRAMES) / 20
     position, velocity = np.zeros((2, PASS_BY_FRAMES, 2, 2))
-    position[:, 0, 0] = _SPEED * time
-    velocity[:, 0, 0] = _SPEED
+    position[:, 0, 0] = _PASS_BY_SPEED * time
+    velocity[:, 0, 0] = _PASS_BY_SPEED
     position[:, 1] = 8.0, 4.0
     return Trace(
         time=time,

@@ -93,7 +93,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
 
 
 def _check_consent(chosen: Experiment, trust: tuple[str, ...], file: str, *, unconfined: bool) -> None:
-    """Check that the consent in the experiment's file and that of the flags do not contradict each other."""
+    """Check that flags give what the experiment's file consents to, because the file alone does not count."""
     given: dict[str, Any] = {"trust": trust}
     if unconfined:
         given["unconfined"] = True
@@ -127,10 +127,11 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
     )
     at_a_time = jobs or available_cores()  # of a cluster the number of nodes is unknown here
     seconds = forecast(experiment, runs, root, at_a_time)
-    forecasted = f"about {clock(seconds)} with {at_a_time} at a time"
-    first = f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}"
-    second = f"{finished} finished; {counted(left, 'execution')} left, {forecasted}"
-    return f"{wrapped(first)}\n{wrapped(second)}"
+    lines = [
+        f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}",
+        f"{finished} finished; {counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time",
+    ]
+    return "\n".join(map(wrapped, lines))
 
 
 def _prepare(experiment: Experiment, root: Path) -> None:
@@ -194,9 +195,9 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     """Print the verdicts, and write the tables, curves, summaries, archive and page to the experiment folder."""
     summaries = list(campaigns.values())
     made = tables(experiment, summaries)
-    printed = "\n\n".join(map(text, made)) + "\n"
+    listed = "\n\n".join(map(text, made)) + "\n"
     drawn = curves(experiment, summaries)
-    files = {"summaries.csv": summaries_csv(summaries), "tables.txt": printed, "curves.csv": curves_csv(drawn)}
+    files = {"summaries.csv": summaries_csv(summaries), "tables.txt": listed, "curves.csv": curves_csv(drawn)}
     files |= {f"tables/{table.name}.{kind}": content for table in made for kind, content in _files(table).items()}
     figure = curves_svg(drawn)
     if figure is not None:

@@ -45,10 +45,12 @@ _SINGULAR: Final = {"specs": "spec"}  # flags that are given several times
 WAITING: Final = "Loading the driver; first-time compilation can take a minute ..."
 
 
-def flag(metavar: str | None, default: object) -> Any:
-    """Return the argument settings of a flag whose default is not a value of its own, but is in the help text.
+def flag(metavar: str, default: object) -> Any:
+    """Return tyro's settings of a flag whose parameter is None if it is not given.
 
-    `metavar` is the name of the value there, None for a `Switch`; a default of None is not shown.
+    Args:
+        metavar: name of the flag's value in the help text.
+        default: what holds without the flag, for the help text; None to show nothing.
     """
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "")
 

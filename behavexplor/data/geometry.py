@@ -66,7 +66,10 @@ def point_box_distance(point: Floats, position: Floats, heading: Floats, size: F
 
 
 def box_distance(a: Floats, b: Floats) -> Floats:
-    """Compute the shortest distances between boxes, given by corners (..., 4, 2), shape (...) [m]; 0 if they touch."""
+    """Compute the shortest distances between boxes, shape (...) [m]; 0 if they touch.
+
+    Boxes are given by their corners, shape (..., 4, 2) [m].
+    """
     if a.shape != b.shape:
         a, b = np.broadcast_arrays(a, b)
     gaps = np.empty(a.shape[:-2])
@@ -114,9 +117,14 @@ def distances_from_first(position: Floats, heading: Floats, size: Floats, frame:
 def distances_from_segments(position: Floats, heading: Floats, size: Floats, segments: Floats, segment: Ints) -> Floats:
     """Compute the shortest distance of each of n equal boxes from one of m segments, shape (n,) [m].
 
-    That of box i is the distance from `segments[segment[i]]`, 0 if they touch or the segment enters the box. Centers
-    have the shape (n, 2) [m], headings (n,) [rad], the size of every box (2,) [m], segments (m, 2, 2) [m], `segment`
-    (n,).
+    It is 0 if they touch or the segment enters the box.
+
+    Args:
+        position: centers of the boxes, shape (n, 2) [m].
+        heading: headings of the boxes, shape (n,) [rad].
+        size: length and width of every box, shape (2,) [m].
+        segments: shape (m, 2, 2) [m].
+        segment: index of the segment for each box, shape (n,).
     """
     gaps = np.empty(len(position))
     directions = np.cos(heading), np.sin(heading)  # numpy's own functions, whose last bits differ from C's
@@ -184,8 +192,8 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
 
     Its segments must be about equally long, as only those around a point's nearest vertex are considered.
 
-    Return the station of each projected point [m], and the polyline's heading at that station [rad], interpolated
-    between the middles of the segments, each of shape (T,).
+    Return the station of each projected point [m] and the polyline's heading there [rad], each of shape (T,). The
+    heading is interpolated between those at the middles of the segments.
     """
     vertices = np.array(polyline, dtype=np.float64, order="C")
     pieces, ends, heading = _pieces(vertices.tobytes())

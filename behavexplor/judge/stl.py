@@ -172,7 +172,7 @@ def until(left: Signal, right: Signal, start: float = 0.0, end: float = math.inf
     # The minimum of these is exact [4]: `left` up to the window, untimed `until` from there, `right` within the window.
     # The reason: if the untimed `until` is satisfied only after the window, `left` holds throughout the window.
     bridged = _least(left.robustness, np.arange(len(first)), first)
-    untimed = np.append(_untimed_until(left.robustness, right.robustness), -np.inf)  # the window of the last is empty
+    untimed = np.append(_untimed_until(left.robustness, right.robustness), -np.inf)  # for windows after the last sample
     within = -_least(-right.robustness, first, stop)
     return Signal(left.time, np.minimum(np.minimum(bridged, untimed[first]), within))
 

@@ -48,10 +48,11 @@ Answer = Literal["preventable", "standing_still_avoids_it", "unpreventable"]
 class OtherDrivers(NamedTuple):
     """What other drivers tell of a crash."""
 
-    # the first one that keeps all requirements; one that only stands in the end only if no other one does
+    # the first one that keeps all requirements, if possible one that does not just stand in the end; None if none does
     driver: OtherDriver | None
     tried: int  # number of drivers; 0 if they cannot drive in the environment
-    answer: Answer | None  # None if none was tried, or if those without a crash failed in another way
+    # None if none was tried, or if those without a crash failed in another way and none of them stands in the end
+    answer: Answer | None
 
 
 class ScriptedDriver:
@@ -85,7 +86,8 @@ def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> OtherDrive
     names += [f"random actions {i}" for i in range(1, RANDOM + 1)]
     try:
         traces = _driven(scenario, _actions(rng))
-    except (InputError, ADSError):  # the latter where the environment has a wrapper of its own around what they see
+    # the environment cannot be configured for them, or has a wrapper of its own around what they see
+    except (InputError, ADSError):
         return OtherDrivers(None, 0, None)
     good = [pair for pair in zip(names, traces, strict=True) if not judge(pair[1]).failed]
     if good:
@@ -125,7 +127,7 @@ def _actions(rng: np.random.Generator) -> Actions:
 def _driven(scenario: DrawnScenario, actions: Actions) -> list[Trace]:
     """Return the trace of the careful driver, and one for each row of actions."""
     env, careful = _environment(scenario.setup), CarefulDriver()
-    same = replace(scenario, setup=env.logical.setup)
+    same = replace(scenario, setup=env.logical.setup)  # the scenario in that environment
     try:
         return [
             *_compiled(scenario.setup, careful, same, 1),

@@ -71,7 +71,7 @@ class LearnedDriver:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
         Scenes have the shape (B, 1 + n, 8), see `behavexplor.data.scene`, and the state (B, 3). Actions, acceleration
-        and steering, are in [-1, 1], shape (B, 2). Nothing is drawn.
+        and steering, are in [-1, 1], shape (B, 2). Nothing is drawn, whatever `deterministic` is.
 
         Raises:
             InputError: if an array has the wrong shape.
@@ -93,7 +93,7 @@ class LearnedDriver:
     ) -> tuple[Floats, Floats]:
         """Return the actions, shape (B, 2), and the memory. The action of an absent ego is 0.
 
-        `shares` in [0, 1), shape (B,), draw the actions; None for the network's own rule.
+        The actions are drawn by `shares`, numbers in [0, 1), shape (B,); None for the network's own rule.
         """
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), choosing.N_MEMORIES))

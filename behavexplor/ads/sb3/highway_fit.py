@@ -95,10 +95,10 @@ def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.
 def fitting_config(
     observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]
 ) -> tuple[str, dict[str, Any]]:
-    """Return the name of highway-env's environment with a policy's spaces, "" if none has, and a configuration.
+    """Find a configuration of highway-env with a policy's spaces. Return it after the name of its environment.
 
-    The configuration has the keys `observation` and `action`, as far as the spaces determine them, and, for an
-    environment, the frequencies.
+    The name is "" if no environment has these spaces by default. The configuration has the keys `observation` and
+    `action`, as far as the spaces determine them, and, if there is a name, the frequencies.
     """
     commands = _commands(action_space)
     for name, spaces in _SPACES.items():

@@ -21,12 +21,12 @@ from behavexplor.envs.values import POSITIVE
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_inner
 
-_BEFORE_END: Final = (  # keys of the lengths before the end of the ramp
+_RAMP_LENGTHS: Final = (  # keys of the lengths before the end of the ramp
     "before_merge_length",
     "converge_merge_length",
     "parallel_merge_length",
 )
-_END_BEFORE: Final = 90.0  # length of the road after the end of an episode [m]
+_ROAD_BEYOND_END: Final = 90.0  # length of the road after the end of an episode [m]
 _TRIES: Final = 10  # to place a vehicle
 _FREE: Final = 15.0  # least distance between the centers of vehicles on a lane [m]
 
@@ -81,28 +81,28 @@ def _put_starts(row: Any, config: Config) -> None:
 
 def _ramp_end(config: Config) -> float:
     """Return the station of the end of the ramp [m]."""
-    length: float = sum(config[key] for key in _BEFORE_END)
+    length: float = sum(config[key] for key in _RAMP_LENGTHS)
     return length
 
 
 def _check(config: Config) -> None:
     KIND.check(config)
-    if config["after_merge_length"] < _END_BEFORE:
+    if config["after_merge_length"] < _ROAD_BEYOND_END:
         raise InputError(
-            f"after_merge_length: {config['after_merge_length']} must be at least {_END_BEFORE:g} m, because the "
-            f"episode ends {_END_BEFORE:g} m before the end of the road"
+            f"after_merge_length: {config['after_merge_length']} must be at least {_ROAD_BEYOND_END:g} m, because the "
+            f"episode ends {_ROAD_BEYOND_END:g} m before the end of the road"
         )
 
 
 GENERIC_KIND = replace(  # with as many lanes and vehicles as the config says
     KIND,
     env_classes=(MergeGenericEnv,),
-    end_x=lambda config: _ramp_end(config) + config["after_merge_length"] - _END_BEFORE,
+    end_x=lambda config: _ramp_end(config) + config["after_merge_length"] - _ROAD_BEYOND_END,
     start_lanes=_start_lanes,
     n_placed=None,
     start_numbers=lambda config: np.array([_ramp_end(config)]),  # vehicles are spread over the road before it
     put_starts=_put_starts,
-    keys=MappingProxyType(dict.fromkeys((*_BEFORE_END, "after_merge_length"), POSITIVE)),
+    keys=MappingProxyType(dict.fromkeys((*_RAMP_LENGTHS, "after_merge_length"), POSITIVE)),
     check=_check,
 )
 
