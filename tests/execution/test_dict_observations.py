@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
+from behavexplor.execution import simulation as simulation_module
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.simulation import Simulation, seen_in
@@ -110,3 +111,27 @@ def test_an_environment_with_other_observations_is_told_in_a_sentence(parked):
     assert "observes Dict(achieved_goal: Box(2,), desired_goal: Box(2,), observation: Box(7, 5))" in message
     assert message.endswith("The policy needs an environment whose observations are such dictionaries")
     assert "--trust" not in message
+
+
+def test_environments_that_are_only_looked_at_are_closed(monkeypatch):
+    """Those that a policy might have been trained in are looked at when it does not fit the one that is asked for."""
+    open_ones = []
+
+    def watched(make):
+        def made(*given):
+            env = make(*given)
+            open_ones.append(env)
+            monkeypatch.setattr(env, "close", lambda: open_ones.remove(env))
+            return env
+
+        return made
+
+    monkeypatch.setattr(simulation_module, "make_env", watched(simulation_module.make_env))
+    monkeypatch.setattr(simulation_module, "make_registered", watched(simulation_module.make_registered))
+    unknown = SimpleNamespace(observation_space=Box(0, 1, (1, 2, 3)), action_space=Discrete(77))
+    with pytest.raises(InputError, match="has"):
+        Simulation("highway-fast-v0", unknown)
+    assert len(open_ones) == 1  # the one that is asked for
+    open_ones.clear()
+    seen_in(NAME, SimpleNamespace(observation_space=SPACE, action_space=Discrete(5)), {})
+    assert open_ones == []

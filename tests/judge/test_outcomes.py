@@ -129,6 +129,10 @@ def test_a_file_of_another_evaluation_or_that_is_gone_is_refused(tmp_path):
         OutcomeFile(tmp_path / "no-folder" / "file", SUBJECT)
     with pytest.raises(InputError, match="cannot be used"):
         OutcomeFile(tmp_path, SUBJECT)
+    (tmp_path / "link").symlink_to(file.path)  # it could lead to any file of the user
+    with pytest.raises(InputError, match="link cannot be used"):
+        OutcomeFile(tmp_path / "link", SUBJECT)
+    assert file.path.read_bytes() == content
     file.path.unlink()
     with pytest.raises(InputError, match="was deleted or moved while the evaluation ran"):
         file.append(BLOCKS[0])
