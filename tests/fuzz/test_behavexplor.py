@@ -222,7 +222,10 @@ def test_points_may_be_kept():
 def test_novelty_threshold():
     for threshold, novel in ((0.3, True), (0.4, False)):
         search = started(drive(5.0, seconds=20), novelty_threshold=threshold)
-        assert tell_next(search, drive(5.0, seconds=30), verdict(9.0))[1]["novel"] is novel
+        _, learned = tell_next(search, drive(5.0, seconds=30), verdict(9.0))
+        assert learned["novel"] is novel
+    search = started(drive(5.0, seconds=20), novelty_threshold=learned["novelty"])  # the threshold itself
+    assert not tell_next(search, drive(5.0, seconds=30), verdict(9.0))[1]["novel"]
 
 
 @pytest.mark.parametrize("option", ["waypoint_keep_probability", "route_keep_probability"])
