@@ -65,7 +65,7 @@ class JudgeService(Service):
 
     def confine(self) -> None:
         """Give up the rights of this process, because traces come from processes of third-party code."""
-        keep_code_in(Path(tempfile.mkdtemp()))  # from then on nothing else can be written
+        keep_code_in(Path(tempfile.mkdtemp()))  # a folder that can be written after `confine`, too
         confine()
 
     def begin(self) -> None:

@@ -71,7 +71,7 @@ class LearnedDriver:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
         Scenes have the shape (B, 1 + n, 8), see `behavexplor.data.scene`, and the state (B, 3). Actions, acceleration
-        and steering, are in [-1, 1], shape (B, 2). Nothing is drawn, whatever `deterministic` is.
+        and steering, are in [-1, 1], shape (B, 2). `deterministic` has no effect: this method never samples an action.
 
         Raises:
             InputError: if an array has the wrong shape.
