@@ -10,11 +10,14 @@ the whole suite with `--whole`. Which survivors change nothing is for a reader t
 import argparse
 import ast
 import os
+import queue
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,8 +32,7 @@ FOLDERS = {  # of the package, with the tests that are theirs
     "fuzz": "tests/fuzz",
     "envs/engine": "tests/envs",
 }
-TIME_LIMIT = 600  # s, for the tests of a folder: what hangs is found
-WHOLE_TIME_LIMIT = 3600  # s, for the whole suite
+WHOLE_TIME_LIMIT = 3600  # s, for the whole suite: what hangs is found
 COMPARISONS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
@@ -146,35 +148,58 @@ class Copy:
     """A copy of the project, in which faults are planted."""
 
     def __init__(self, folder):
-        self._root = Path(folder) / "copy"
+        self._root = Path(folder)
         ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "runs", "site")
         shutil.copytree(ROOT, self._root, ignore=ignored)
 
-    def failure(self, tests, time_limit=TIME_LIMIT):
+    def failure(self, tests, time_limit):
         """Run tests on the copy, and return the end of what they print if one fails; nothing if all pass."""
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "2", "--dist", "worksteal", tests]
+        command = [sys.executable, "-m", "pytest", "-x", "-q", tests]
         own = {**os.environ, "PYTHONPATH": str(self._root)}
         try:
             done = subprocess.run(
                 command, cwd=self._root, env=own, capture_output=True, timeout=time_limit, check=False, text=True
             )
         except subprocess.TimeoutExpired:
-            return f"{tests} took longer than {time_limit} s"
-        return done.stdout[-2000:] if done.returncode else ""
+            return f"{tests} took longer than {time_limit:.0f} s"
+        return done.stdout[-2000:] or "pytest failed" if done.returncode else ""
 
-    def finds(self, fault, *, whole):
-        """Return which tests find a fault: "own", "others" or "none"."""
+    def time_limit(self, tests):
+        """Return after how many seconds tests hang, from the time that they take without a fault.
+
+        A fault in a kernel lets them compile again, which takes minutes.
+        """
+        begun = time.monotonic()
+        if failure := self.failure(tests, WHOLE_TIME_LIMIT):
+            sys.exit(f"{failure}\n{tests} fails without a fault, so it finds none")
+        return 300 + 2 * (time.monotonic() - begun)
+
+    def finds(self, fault, time_limit, *, whole):
+        """Return which tests find a fault, "own", "others" or "none", and the first that failed."""
         changed = self._root / fault.path
         kept = changed.read_text(encoding="utf-8")
         changed.write_text(fault.source, encoding="utf-8")
-        own = next(tests for name, tests in FOLDERS.items() if fault.path.startswith(f"behavexplor/{name}/"))
+        own = FOLDERS[folder_of(fault)]
         nearest = f"{own}/test_{changed.name}"
         try:
-            if ((self._root / nearest).is_file() and self.failure(nearest)) or self.failure(own):
-                return "own"
-            return "others" if whole and self.failure("tests", WHOLE_TIME_LIMIT) else "none"
+            for tests in [nearest] * (self._root / nearest).is_file() + [own]:
+                if failure := self.failure(tests, time_limit):
+                    return "own", failed(failure)
+            if whole and (failure := self.failure("tests", WHOLE_TIME_LIMIT)):
+                return "others", failed(failure)
+            return "none", ""
         finally:
             changed.write_text(kept, encoding="utf-8")
+
+
+def failed(printed):
+    """Return what pytest says of the first test that failed."""
+    lines = printed.strip().splitlines()
+    return next((line for line in lines if line.startswith(("FAILED", "ERROR"))), lines[-1])[:200]
+
+
+def folder_of(fault):
+    return next(folder for folder in FOLDERS if fault.path.startswith(f"behavexplor/{folder}/"))
 
 
 def main():
@@ -182,25 +207,38 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=60, help="faults, shared equally by the folders")
     parser.add_argument("--folders", nargs="*", choices=FOLDERS, default=list(FOLDERS))
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="faults that are tried at the same time")
     parser.add_argument("--whole", action="store_true", help="let survivors meet the whole suite")
     parser.add_argument("--list", action="store_true", help="name the faults, and run no tests")
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
     share = -(-given.count // len(given.folders))
-    chosen = {folder: drawn(folder, share, rng) for folder in given.folders}
+    faults = [fault for folder in given.folders for fault in drawn(folder, share, rng)]
     if given.list:
-        sys.stdout.write("".join(f"{fault}\n" for faults in chosen.values() for fault in faults))
+        sys.stdout.write("".join(f"{fault}\n" for fault in faults))
         return
-    with tempfile.TemporaryDirectory() as folder:
-        copy, counts = Copy(folder), Counter()
-        for name, faults in chosen.items():
-            if failure := copy.failure(FOLDERS[name]):
-                sys.exit(f"{failure}\n{FOLDERS[name]} fails without a fault, so it finds none")
-            for fault in faults:
-                found = copy.finds(fault, whole=given.whole)
-                counts[found] += 1
-                sys.stdout.write(f"{found:<7} {fault}\n")
-                sys.stdout.flush()
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(given.jobs) as jobs:
+        free = queue.SimpleQueue()
+        for i in range(given.jobs):
+            free.put(Copy(Path(folder) / str(i)))
+
+        def with_copy(call, *args, **options):
+            copy = free.get()
+            try:
+                return call(copy, *args, **options)
+            finally:
+                free.put(copy)
+
+        limits = jobs.map(lambda name: with_copy(Copy.time_limit, FOLDERS[name]), given.folders)
+        limits = dict(zip(given.folders, limits, strict=True))
+        found = jobs.map(
+            lambda fault: with_copy(Copy.finds, fault, limits[folder_of(fault)], whole=given.whole), faults
+        )
+        counts = Counter()
+        for fault, (tests, by) in zip(faults, found, strict=True):
+            counts[tests] += 1
+            sys.stdout.write(f"{tests:<7} {fault}\n" + f"        {by}\n" * bool(by))
+            sys.stdout.flush()
     sys.stdout.write(", ".join(f"{name} {count}" for name, count in counts.items()) + "\n")
 
 
