@@ -12,7 +12,7 @@ from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.engine.actions import check_actions
-from behavexplor.envs.engine.lock_step import LockStepVectorEnv
+from behavexplor.envs.engine.lock_step_vector_env import LockStepVectorEnv
 from behavexplor.envs.source_gate import classes_of, guard_of
 from behavexplor.envs.tasks.scripted_episodes import ScriptedEpisodes, odd_action, odd_method, odd_observation
 from behavexplor.envs.tasks.scripted_outcome import TERMS

@@ -18,7 +18,7 @@ from behavexplor import HIGHWAY_ENV
 from behavexplor.data.array_types import Array, Bools, Floats, Ints
 from behavexplor.envs.engine.actions import check_actions, command_table, make_commands
 from behavexplor.envs.engine.frame_log import make_log
-from behavexplor.envs.engine.lock_step import LockStepVectorEnv
+from behavexplor.envs.engine.lock_step_vector_env import LockStepVectorEnv
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.engine.state import NO_ROAD, make_scratch, make_slots
 from behavexplor.envs.engine.vehicle_parameters import TRAFFIC, classes_of_vehicles, kept_parameters
