@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from behavexplor.behavior.miner import NoveltyArchive
+from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.execution.simulation import Simulation

@@ -16,7 +16,7 @@ from behavexplor.campaign.opening import opened
 ROOT = Path(behavexplor.__file__).parent
 LIMITS = {  # with room for what is to come
     "modules": 300,
-    "lines": 50_900,
+    "lines": 51_000,
     "import lines, % of code": 12.5,
     "modules with one importer, %": 15,
     "modules under 40 lines of code, %": 15,

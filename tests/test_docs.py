@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import behavexplor
-from behavexplor.behavior.miner import NOVELTY_THRESHOLD, MinerOptions
+from behavexplor.behavior.miner import MinerOptions
+from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.bench.experiment_archive import ARCHIVE
 from behavexplor.commands import OK, main
 from behavexplor.envs.tasks.scripted_outcome import WEIGHTS

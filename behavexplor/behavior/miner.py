@@ -1,6 +1,6 @@
-"""BehaviorMiner: abstract states of traces by clustering, their distances, and the archive of distinct behaviors.
+"""BehaviorMiner: behaviors as sequences of abstract states, which are found by clustering, and their distances.
 
-Source: paper section 3.2.1. The cost of refitting the clusters would grow with every behavior. Here, a refit starts
+Source: paper section 3.2.1. There, the cost of refitting the clusters grows with every behavior. Here, a refit starts
 from the centers of the last one, uses a bounded sample of merged states, and happens at growing intervals.
 """
 
@@ -10,7 +10,7 @@ import tempfile
 import weakref
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from typing import IO, Annotated, Any, Final, Literal
 from warnings import catch_warnings, simplefilter
@@ -39,7 +39,6 @@ from behavexplor.jit import kernel_in_place
 
 MAX_CLUSTERS: Final = 256
 MAX_IN_MEMORY: Final = 16 * 2**20  # greatest size of states in memory [bytes]: about 1700 behaviors of 30 s
-NOVELTY_THRESHOLD: Final = 0.4  # the paper's theta_c
 Scaling = Literal["zscore", "none"]
 
 
@@ -104,7 +103,7 @@ def find_distances(labels: Bytes, starts: Ints, query: Bytes, distances: Floats)
     """
     for i in range(len(distances)):
         first = starts[i]
-        count = np.int32(0)  # the processor adds up more of them at once than of longer numbers
+        count = np.int32(0)  # 32 bits: the processor adds up more of them at once than of longer numbers
         length = starts[i + 1] - first
         for k in range(min(length, len(query))):
             count += np.int32(labels[first + k] != query[k])
@@ -112,7 +111,7 @@ def find_distances(labels: Bytes, starts: Ints, query: Bytes, distances: Floats)
 
 
 def clusters_of(centers: Floats, mean: Floats, scale: Floats) -> Clusters:
-    """Return the clusters of some centers; see `Clusters`."""
+    """Return the clusters with these centers, shape (clusters, features), and their squared lengths."""
     return Clusters(centers, (centers**2).sum(1), mean, scale)
 
 
@@ -129,6 +128,7 @@ def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_stat
     from sklearn.cluster import KMeans  # noqa: PLC0415
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
 
+    # checked here once, so that scikit-learn need not
     checked_once = config_context(assume_finite=bool(np.isfinite(rows).all()))
     with _thread_pools().limit(limits=1), checked_once, catch_warnings():
         simplefilter("ignore", ConvergenceWarning)  # too few distinct rows
@@ -158,7 +158,7 @@ class MinerOptions:
     scaling: Scaling = "zscore"
     # relative growth of the number of behaviors after which the clusters are refitted. With 0, they are refitted after
     # every novel behavior (paper). The default keeps the cost of an execution constant. Its novelty decisions agree
-    # with the paper's rule more often than two random states of that rule agree with each other.
+    # with the paper's rule more often than that rule agrees with itself under another seed.
     refit_growth: Annotated[float, between(0)] = 0.25
     # greatest number of merged states to which clusters are fitted, a uniform sample of all
     sample_size: Annotated[int, between(1, 1_000_000)] = 20_000
@@ -173,13 +173,13 @@ class MinerOptions:
 class Behavior:
     """The ego's behavior in one trace."""
 
-    states: Singles  # the paper's X-bar, shape (N', 8)
+    states: Singles  # the ego's states on an even grid of time, the paper's X-bar, shape (N', 8)
     window: int  # the paper's w, number of states in a window
     tail: Tail  # windows at the end of the trace, see `behavexplor.behavior.features.merged_states`
 
     @cached_property
     def merged(self) -> Floats:
-        """The paper's H, shape (windows, 64)."""
+        """The statistics of each window, the paper's H, shape (windows, 64)."""
         return merged_states(self.states, self.window, self.tail)
 
 
@@ -200,7 +200,7 @@ class BehaviorMiner:
         self._traces = AbstractTraces()
         self._sample = _Sample(options.sample_size, np.random.default_rng(options.random_state))
         self._clusters = clusters_of(np.zeros((1, N_FEATURES)), np.zeros(N_FEATURES), np.ones(N_FEATURES))
-        self._fitted_at = 0
+        self._fitted_at = 0  # number of behaviors at the latest fit
         self._labeled: tuple[Behavior, Labels] | None = None  # the latest behavior with its abstract trace
 
     def __len__(self) -> int:
@@ -212,7 +212,7 @@ class BehaviorMiner:
 
     def abstract(self, behavior: Behavior) -> Labels:
         """Compute an abstract trace, the paper's H-hat: the nearest cluster of each merged state, shape (windows,)."""
-        if self._labeled is None or self._labeled[0] is not behavior:  # a novel behavior is added after a comparison
+        if self._labeled is None or self._labeled[0] is not behavior:  # `add` asks again for what was just compared
             self._labeled = behavior, self._labels(behavior.states)
         return self._labeled[1]
 
@@ -286,7 +286,7 @@ class _Sample:
         return self._rows[: self._seen]
 
     def extend(self, rows: Floats) -> None:
-        """Let the row with number n replace a random one with probability size / (n + 1)."""
+        """Add rows. Once the sample is full, row number n replaces a random one with probability size / (n + 1)."""
         numbers = np.arange(self._seen, self._seen + len(rows))
         slots = numbers.copy()
         late = numbers >= len(self._rows)
@@ -360,44 +360,3 @@ class StateFile:
 def _close(file: IO[bytes]) -> None:
     with suppress(OSError):  # what could not be written is not needed any more
         file.close()
-
-
-@validated
-class NoveltyOptions:
-    """Options that define distinct behaviors.
-
-    Raises:
-        InputError: if the threshold is not in [0, 1].
-    """
-
-    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # distinct behaviors are farther apart
-    miner: MinerOptions = field(default_factory=MinerOptions)
-
-
-class NoveltyArchive:
-    """The distinct behaviors of a campaign, including those of failed executions.
-
-    The archive is independent of the search methods, so all of them are scored by the same code. Its length is the
-    number of distinct behaviors.
-    """
-
-    def __init__(self, options: NoveltyOptions | None = None) -> None:
-        self.options = options = options or NoveltyOptions()
-        self._miner = BehaviorMiner(options.miner)
-
-    def __len__(self) -> int:
-        return len(self._miner)
-
-    def observe(self, trace: Trace) -> float:
-        """Return the novelty of a trace, and add its behavior to the archive if it is distinct.
-
-        The novelty is the least distance from the distinct behaviors so far, or 1 if there are none.
-        """
-        behavior = self._miner.describe(trace)
-        distances = self._miner.distances(self._miner.abstract(behavior))
-        novelty = float(distances.min(initial=1.0))
-        if novelty > self.options.threshold or not len(self):
-            self._miner.add(behavior)
-            if self._miner.due:
-                self._miner.fit()
-        return novelty

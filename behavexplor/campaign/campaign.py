@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from behavexplor.behavior.miner import NoveltyArchive
+from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.confirmation import unconfirmed
 from behavexplor.campaign.judges import Judges

@@ -12,7 +12,8 @@ from types import FrameType
 import numpy as np
 
 from behavexplor.ads.interface import ADS
-from behavexplor.behavior.miner import NoveltyArchive, k_means
+from behavexplor.behavior.miner import k_means
+from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import TOGETHER, Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, point_to_latest, stored_config
 from behavexplor.campaign.judges import LEAST_EXECUTIONS, PASS_BY_FRAMES, Judges, pass_by

@@ -62,7 +62,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
         dry_run: Only show the number of campaigns and how long they will take.
         tables_only: Only write the tables of the finished campaigns.
         unconfined: Allow drivers that are not shipped with behavexplor to write files and use the network.
-        quiet: Print only the verdicts.
+        quiet: Show no progress.
     """
     chosen = read_experiment(experiment)
     if not tables_only:
@@ -93,7 +93,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
 
 
 def _check_consent(chosen: Experiment, trust: tuple[str, ...], file: str, *, unconfined: bool) -> None:
-    """Check that flags give what the experiment's file consents to, because the file alone does not count."""
+    """Check that the flags repeat what the experiment's file trusts and allows: the file alone does not count."""
     given: dict[str, Any] = {"trust": trust}
     if unconfined:
         given["unconfined"] = True
@@ -101,7 +101,7 @@ def _check_consent(chosen: Experiment, trust: tuple[str, ...], file: str, *, unc
 
 
 def _checked_jobs(jobs: int | None, cluster: str) -> int:
-    """Return the number of jobs; 0 for as many as a cluster has cores."""
+    """Return the number of jobs; 0 for one node for each core of a cluster."""
     if cluster:
         parse_cluster(cluster)
     if jobs is None:
@@ -115,8 +115,8 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
     """Describe the campaigns that would be run; `runs` are those that are not archived."""
     states = [run_state(run, root) for run in runs]
     planned = len(experiment.runs())
-    finished = planned - len(runs) + sum(found.finished for found in states)
-    left = sum(experiment.budget - found.executions for found in states if not found.finished)
+    finished = planned - len(runs) + sum(state.finished for state in states)
+    left = sum(experiment.budget - state.executions for state in states if not state.finished)
     parts = ", ".join(
         [
             counted(len(experiment.envs), "environment"),
@@ -125,7 +125,7 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
             counted(experiment.seeds, "seed"),
         ]
     )
-    at_a_time = jobs or available_cores()  # of a cluster the number of nodes is unknown here
+    at_a_time = jobs or available_cores()  # the number of a cluster's nodes is not known here
     seconds = forecast(experiment, runs, root, at_a_time)
     lines = [
         f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}",
@@ -135,22 +135,26 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
 
 
 def _prepare(experiment: Experiment, root: Path) -> None:
-    """Check the whole experiment before its first campaign, and create its folder."""
+    """Check the whole experiment before its first campaign, and create its folder.
+
+    Raises:
+        InputError: if an environment, a driving system, a method, a spec or the folder cannot be used.
+    """
     known = any((root / name).is_file() for name in (EXPERIMENT, ARCHIVE))
     if root.is_dir() and any(root.iterdir()) and not known:
         raise InputError(f"{root} is neither empty nor an experiment folder: choose another --out")
     load_specs(experiment.specs)
-    unlike: dict[tuple[str, str], list[PlannedRun]] = {}
+    by_driver: dict[tuple[str, str], list[PlannedRun]] = {}  # the first run of each method, by environment and ADS
     for run in experiment.runs():
         if run.seed == experiment.first_seed:
-            unlike.setdefault((run.env, run.ads), []).append(run)
-    for (env, _), runs in unlike.items():
+            by_driver.setdefault((run.env, run.ads), []).append(run)
+    for (env, _), runs in by_driver.items():
         target = runs[0].config.target
         with start_executor(target, fewest_workers(target)) as executor:
             check_loading(executor)
             logical = logical_of_target(executor, env)
         for run in runs:
-            search_method(run.config, logical)
+            search_method(run.config, logical)  # raises if the method or its options are invalid
     try:
         write_durably(folder_in(root) / EXPERIMENT, experiment.to_yaml())
     except OSError as error:
@@ -161,21 +165,21 @@ def _run(
     experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: int, cluster: str, *, quiet: bool
 ) -> int:
     """Run the unfinished campaigns, and return the exit code."""
-    running = ExperimentRunner(runs, root, jobs, experiment.workers, cluster)
+    runner = ExperimentRunner(runs, root, jobs, experiment.workers, cluster)
     total = len(runs) * experiment.budget
-    with _stoppable(running), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
-        ended = running.run(lambda progress: meter.show(progress.executions, _words(progress)))
+    with _stoppable(runner), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
+        ended = runner.run(lambda progress: meter.show(progress.executions, _progress_text(progress)))
     for warning in ended.warnings:
         say(f"Warning: {sentence(warning)}", file=sys.stderr)
     for run, failure in ended.failed.items():
         say(f"{program()}: {sentence(f'{run}: {failure}')}", file=sys.stderr)
-    if running.stopping:
+    if runner.stopping:
         say("Interrupted; the same command continues the experiment", file=sys.stderr)
         return INTERRUPTED
     return EXECUTION_FAILED if ended.failed else OK
 
 
-def _words(progress: ExperimentProgress) -> str:
+def _progress_text(progress: ExperimentProgress) -> str:
     failed = f", {len(progress.failed)} failed" if progress.failed else ""
     left = f", about {clock(progress.left)} left" if progress.left is not None else ""
     return f"{progress.finished} of {counted(progress.runs, 'campaign')}{failed}{left}"
@@ -194,16 +198,16 @@ def _summaries(runs: Sequence[PlannedRun], root: Path, *, quiet: bool) -> dict[P
 def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     """Print the verdicts, and write the tables, curves, summaries, archive and page to the experiment folder."""
     summaries = list(campaigns.values())
-    made = tables(experiment, summaries)
-    listed = "\n\n".join(map(text, made)) + "\n"
+    all_tables = tables(experiment, summaries)
+    listed = "\n\n".join(map(text, all_tables)) + "\n"
     drawn = curves(experiment, summaries)
     files = {"summaries.csv": summaries_csv(summaries), "tables.txt": listed, "curves.csv": curves_csv(drawn)}
-    files |= {f"tables/{table.name}.{kind}": content for table in made for kind, content in _files(table).items()}
+    files |= {f"tables/{table.name}.{kind}": content for table in all_tables for kind, content in _files(table).items()}
     figure = curves_svg(drawn)
     if figure is not None:
         files["curves.svg"] = figure
     verdicts = headline(experiment, summaries)
-    files[PAGE] = experiment_page(experiment, summaries, [*verdicts, *made], drawn)
+    files[PAGE] = experiment_page(experiment, summaries, [*verdicts, *all_tables], drawn)
     try:
         folder_in(root, "tables")
         for name, content in files.items():
@@ -218,7 +222,7 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
 
 
 def _by_scenario(table: Table) -> list[Table]:
-    """Return a table for each scenario, which is narrower: its name stands above it."""
+    """Split a table by its first column, the scenario, into narrower tables with the scenario above them."""
     columns = table.columns[1:]
     names = dict.fromkeys(str(row[0]) for row in table.rows)
     rows = {name: tuple(row[1:] for row in table.rows if row[0] == name) for name in names}

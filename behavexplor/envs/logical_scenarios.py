@@ -1,4 +1,4 @@
-"""The logical scenarios of the functional scenarios S1 to S4, with their maps, known without importing the simulator.
+"""The logical scenarios S1 to S4 and their maps. They can be used without importing the simulator.
 
 The four situations are those of the paper's section 4, on its two places: an intersection of two roads, and a straight
 road with four lanes. The dimensions follow the maps that the paper tested on: lanes of 3.5 m, a speed limit of 25 mph,
@@ -34,8 +34,10 @@ ROAD_ONWARD = 100.0  # length of the lanes after those, where NPCs park out of t
 ROAD_LANES = 4
 OPPOSITE_LANES = 2  # lanes of the opposite direction beyond the double yellow line; the ego can stray onto them
 
-LEGS = {"south": math.pi / 2, "west": math.pi, "north": -math.pi / 2, "east": 0.0}  # outward heading [rad]
+# outward heading of each leg [rad]; x points to the east and y to the south
+LEGS = {"south": math.pi / 2, "west": math.pi, "north": -math.pi / 2, "east": 0.0}
 OFFSETS = {"inner": 0.5 * LANE_WIDTH, "outer": 1.5 * LANE_WIDTH}  # lane center from the middle of the road [m]
+# what a vehicle on each approach lane may do
 MOVEMENTS = {"inner": ("left", "straight"), "outer": ("straight", "right")}
 TURNS = {"left": -math.pi / 2, "straight": 0.0, "right": math.pi / 2}  # change of heading [rad]
 
@@ -43,14 +45,15 @@ TURNS = {"left": -math.pi / 2, "straight": 0.0, "right": math.pi / 2}  # change 
 def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
     """Build an unsignalized intersection of two four-lane roads; the ego comes from the south, on the inner lane.
 
-    It goes "straight" or "left". Its start and destination are distances into its approach and its exit lane [m].
+    `movement` is the ego's, "straight" or "left". `ego_start` is the distance into its approach lane [m], and
+    `destination` the distance into its exit lane [m].
     """
     lanes = {lane.name: lane for lane in _crossing_lanes()}
     routes = [
-        Route(f"{leg}-{side}-{movement}", tuple(lanes[name] for name in _lane_names(leg, side, movement)))
+        Route(f"{leg}-{side}-{turn}", tuple(lanes[name] for name in _lane_names(leg, side, turn)))
         for leg in LEGS
         for side in OFFSETS
-        for movement in MOVEMENTS[side]
+        for turn in MOVEMENTS[side]
     ]
     ego_route = next(route for route in routes if route.name == f"{EGO_LEG}-inner-{movement}")
     lines, kinds = _crossing_lines()
@@ -69,7 +72,8 @@ def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
 def straight_road(start_lane: int, target_lane: int, ego_start: float, destination: float) -> RoadMap:
     """Build a straight road with four lanes in one direction, beside the lanes of the opposite direction.
 
-    Lanes are counted from the left and from 0; the ego's start and destination are distances into them [m].
+    `start_lane` and `target_lane` are the ego's, counted from the left and from 0. `ego_start` and `destination` are
+    distances from the beginning of these lanes [m].
     """
     lanes = {lane.name: lane for lane in _road_lanes()}
     routes = [Route(f"lane-{i + 1}", (lanes[f"road-{i + 1}"], lanes[f"onward-{i + 1}"])) for i in range(ROAD_LANES)]
@@ -79,7 +83,7 @@ def straight_road(start_lane: int, target_lane: int, ego_start: float, destinati
     return RoadMap(
         lanes=tuple(lanes.values()),
         npc_routes=tuple(routes),
-        ego_route=routes[target_lane],
+        ego_route=routes[target_lane],  # the ego starts beside it
         ego_start=ego_start,
         destination=destination,
         illegal_lines=np.array([ends for _, ends in lines]),
@@ -104,6 +108,7 @@ def _road_lanes() -> Iterator[Lane]:
 
 
 def _lane_names(leg: str, side: str, movement: str) -> tuple[str, str, str, str]:
+    """Return the names of a route's lanes: approach, connector, exit and the one after it."""
     target = _leg_towards(LEGS[leg] + math.pi + TURNS[movement])
     return f"{leg}-in-{side}", f"{leg}-{side}-{movement}", f"{target}-out-{side}", f"{target}-onward-{side}"
 
@@ -136,6 +141,7 @@ def _crossing_lanes() -> Iterator[Lane]:
 
 
 def _connector(leg: str, side: str, offset: float, movement: str) -> Lane:
+    """Return the lane across the intersection from the approach lane at an `offset` from the middle of its road [m]."""
     heading = LEGS[leg] + math.pi
     x, y = _beside(LEGS[leg], STOP_LINE, -offset)
     target = _leg_towards(heading + TURNS[movement])
@@ -159,7 +165,10 @@ def _connector(leg: str, side: str, offset: float, movement: str) -> Lane:
 
 
 def _crossing_lines() -> tuple[Floats, tuple[str, ...]]:
-    """Return the double yellow line and both curbs of each leg, then the curbs around the corners as chords."""
+    """Return line segments and their kinds, shape (segments, 2, 2) [m].
+
+    They are each leg's double yellow line and curbs, then the curbs around the corners as chords.
+    """
     near, far = STOP_LINE, STOP_LINE + EXIT + ONWARD
     edge = 2 * LANE_WIDTH
     segments, kinds = [], []
@@ -169,10 +178,10 @@ def _crossing_lines() -> tuple[Floats, tuple[str, ...]]:
             kinds.append(kind)
     for outward in LEGS.values():
         angles = np.linspace(0, math.pi / 2, 7)
-        inset = near - (near - edge) * np.sin(angles), near - (near - edge) * np.cos(angles)
-        corner = [_beside(outward, float(along), float(across)) for along, across in zip(*inset, strict=True)]
+        alongs, acrosses = near - (near - edge) * np.sin(angles), near - (near - edge) * np.cos(angles)
+        corner = [_beside(outward, float(along), float(across)) for along, across in zip(alongs, acrosses, strict=True)]
         segments += [[start, end] for start, end in pairwise(corner)]
-        kinds += [CURB] * 6
+        kinds += [CURB] * (len(corner) - 1)
     return np.array(segments), tuple(kinds)
 
 

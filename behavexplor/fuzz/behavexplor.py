@@ -10,7 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from behavexplor.behavior.miner import NOVELTY_THRESHOLD, Behavior, BehaviorMiner, MinerOptions
+from behavexplor.behavior.miner import Behavior, BehaviorMiner, MinerOptions
+from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import point_box_distance
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW

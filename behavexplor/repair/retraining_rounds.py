@@ -39,11 +39,11 @@ class RetrainingConfig:
     Attributes:
         env: Environment: S1 to S4, one of highway-env's own such as highway-fast-v0, or "module:id".
         policy: The policy: "learned:NAME", the file of a network that `train` made, or a model of Stable-Baselines3.
-        pool: Scenarios in which the policy fails and which are mixed in: none; those of its own training; those that
+        pool: Scenarios in which the policy fails, to be mixed in: none; own, those of its training; found, those that
             campaigns find; or both.
         share: Probability that the scenario of an episode comes from this pool.
-        rounds: Number of rounds. Each trains and validates, after a search if --pool is found or both.
-        steps: Number of decisions in a round, including those of the campaign, without those that train a new critic or
+        rounds: Number of rounds. Each trains and validates; with --pool found or both, a search comes first.
+        steps: Number of decisions in a round, including those of the campaign, but not those that train a new critic or
             fill a replay buffer.
         seed: Random seed. The same seed gives the same policy on the same kind of machine.
         envs: Number of environments in lock-step.
@@ -65,8 +65,10 @@ class RetrainingConfig:
     rounds: Annotated[int, between(1, 1000)] = 8
     steps: Annotated[int, between(1, 10**9)] = 250_000
     seed: Annotated[int, between(0, 2**63 - 1)] = 0
-    envs: Annotated[int, between(1, MOST_ENVS)] | None = None
-    rate: Annotated[float, between(1e-7, 0.1)] | None = None
+    envs: Annotated[int, between(1, MOST_ENVS)] | None = (
+        None  # None: the number in the model's file, or 64 for a network
+    )
+    rate: Annotated[float, between(1e-7, 0.1)] | None = None  # None: the rate in the model's file, or else 2.5e-4
     method: str = "uniform"
     budget: Annotated[int, between(1, 100_000)] = 250
     validation: Annotated[int, between(1, 100_000)] = 1000
@@ -79,7 +81,7 @@ class RetrainingConfig:
 
     @property
     def claim(self) -> Claim:
-        """What the configuration says that may have code run. A policy is read without running code."""
+        """The part of the configuration that may have code run. A policy's file is read without running code."""
         code = code_of(self.env, "", self.method if self.searches else "", (), self.env_config)
         return Claim(Path(CONFIG), asdict(self), code)
 
@@ -103,9 +105,9 @@ class Round:
     steps: int  # number of decisions in all training so far
     validated: int  # number of scenarios in the validation
     failures: tuple[int, ...]  # numbers of the validation scenarios in which the policy failed by its own fault
-    passed: int  # number of validation scenarios in which it did not fail
+    passed: int  # number of validation scenarios in which it did not fail, whoever was at fault
     pool: int = 0  # number of scenarios in the pool at the end of the round
-    digest: str = ""  # digest of the pool
+    digest: str = ""  # SHA-256 of the scenarios in the pool
     # number of failures worth training on that the round's campaign found; None without a campaign
     found: int | None = None
 

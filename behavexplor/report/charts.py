@@ -1,4 +1,4 @@
-"""Layout of charts and of the bar of stages: positions of lines, dots, ticks and labels. The page draws them as SVG."""
+"""Layout of charts, and of the bar that shows the time in each stage: positions, ticks and labels for SVG on a page."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnSeries:
     """A series as shapes."""
 
     name: str
@@ -42,7 +42,7 @@ class Chart:
     """A chart with its axes."""
 
     title: str
-    series: tuple[Drawn, ...]
+    series: tuple[DrawnSeries, ...]
     x_ticks: tuple[tuple[float, str], ...]  # positions and labels of the ticks on the x axis
     y_ticks: tuple[tuple[float, str], ...]  # positions and labels of the ticks on the y axis
     rows: tuple[tuple[str, ...], ...]  # rows of the table under the chart: an execution, then a value of each series
@@ -60,36 +60,36 @@ def chart(title: str, series: Sequence[Series]) -> Chart | None:
     are_whole = bool((values == np.rint(values)).all())
     y_marks = ticks(y_start, y_end, whole=are_whole)
     y_start, y_end = min(y_start, y_marks[0]), max(y_end, y_marks[-1])
-    across = Scale(0.0, x_end, LEFT, WIDTH - RIGHT)
-    up = Scale(y_start, y_end, HEIGHT - BOTTOM, TOP)
+    x_scale = Scale(0.0, x_end, LEFT, WIDTH - RIGHT)
+    y_scale = Scale(y_start, y_end, HEIGHT - BOTTOM, TOP)
     return Chart(
         title,
-        tuple(_drawn(line, across, up) for line in given),
-        tuple((across(mark), _label(mark)) for mark in ticks(0.0, x_end) if mark <= x_end),
-        tuple((up(mark), _label(mark)) for mark in y_marks),
+        tuple(_drawn(line, x_scale, y_scale) for line in given),
+        tuple((x_scale(mark), _label(mark)) for mark in ticks(0.0, x_end) if mark <= x_end),
+        tuple((y_scale(mark), _label(mark)) for mark in y_marks),
         _rows(given),
     )
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Linear map from values to positions on a chart, rounded to the written precision."""
+    """Linear map from values to positions on a chart, rounded to one decimal place."""
 
-    start: float  # first value
-    end: float  # last value
-    first: float  # position of the first value
-    last: float  # position of the last value
+    least: float  # least value
+    greatest: float  # greatest value
+    first: float  # position of the least value
+    last: float  # position of the greatest value
 
     def __call__(self, value: float) -> float:
         """Return the position of a value."""
-        share = (value - self.start) / ((self.end - self.start) or 1.0)
+        share = (value - self.least) / ((self.greatest - self.least) or 1.0)
         return round(self.first + share * (self.last - self.first), 1)
 
 
 def ticks(start: float, end: float, most: int = 5, *, whole: bool = False) -> list[float]:
     """Return ticks that span a range of values; their distance is 1, 2 or 5 times a power of ten.
 
-    Between ticks of `whole` values, it is at least 1.
+    It is the smallest such distance of which `most` span the range; for `whole` values, it is at least 1.
     """
     span = (end - start) or 1.0
     power = 10.0 ** math.floor(math.log10(span / most))
@@ -103,26 +103,26 @@ def _label(value: float) -> str:
     return f"{value:g}"
 
 
-def _drawn(line: Series, across: Scale, up: Scale) -> Drawn:
+def _drawn(line: Series, x_scale: Scale, y_scale: Scale) -> DrawnSeries:
     """Return a series as dots, or as a line of steps; thinned out to `_MOST_POINTS`."""
     known = np.flatnonzero(np.isfinite(line.y))
     if len(known) > _MOST_POINTS:
         known = known[np.linspace(0, len(known) - 1, _MOST_POINTS).astype(int)]
-    points = tuple((across(float(line.x[i])), up(float(line.y[i]))) for i in known)
+    points = tuple((x_scale(float(line.x[i])), y_scale(float(line.y[i]))) for i in known)
     if line.dots:
-        return Drawn(line.name, line.style, "", points)
+        return DrawnSeries(line.name, line.style, "", points)
     path = f"M{points[0][0]:g} {points[0][1]:g}"
     before = points[0]
     for point in points[1:]:
-        rises = point[1] != before[1]
-        if rises or point is points[-1]:  # counts are drawn as steps
-            path += f"H{point[0]:g}" + (f"V{point[1]:g}" if rises else "")
+        changes = point[1] != before[1]
+        if changes or point is points[-1]:  # a line of steps: a point without a change is left out
+            path += f"H{point[0]:g}" + (f"V{point[1]:g}" if changes else "")
             before = point
-    return Drawn(line.name, line.style, path, ())
+    return DrawnSeries(line.name, line.style, path, ())
 
 
 def _rows(series: Sequence[Series]) -> tuple[tuple[str, ...], ...]:
-    """Return the rows for evenly spread executions, with the first and the last."""
+    """Return the rows of the table, for evenly spread executions, among them the first and the last."""
     numbers = sorted({int(x) for line in series for x in line.x})
     shown = [numbers[i] for i in sorted(set(np.linspace(0, len(numbers) - 1, _TABLE_ROWS).astype(int).tolist()))]
     values = [{int(x): float(y) for x, y in zip(line.x, line.y, strict=True)} for line in series]

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from behavexplor.behavior.features import TIME_STEP
-from behavexplor.behavior.miner import NOVELTY_THRESHOLD
+from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.store import Store

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from behavexplor.behavior.miner import MinerOptions, NoveltyArchive, NoveltyOptions
+from behavexplor.behavior.miner import MinerOptions
+from behavexplor.behavior.novelty import NoveltyArchive, NoveltyOptions
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.fakes import make_trace, simulate

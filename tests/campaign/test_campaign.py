@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from behavexplor.behavior.miner import NoveltyArchive
+from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, ExecutionError, search_method
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.folder_format import DATABASE

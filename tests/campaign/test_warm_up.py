@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from behavexplor.behavior.miner import NoveltyArchive
+from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.judgment import judgment
 from behavexplor.campaign.opening import load_analysis
 from behavexplor.execution.simulation import Simulation

@@ -17,30 +17,37 @@ from behavexplor.data.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, 
 from behavexplor.jit import kernel, kernel_inner
 
 TWO_PI = 2 * math.pi
+
+# whether a vehicle is hidden
 MARGIN: Final = 1e-6  # much more than the share by which roundings change a product
-NARROW: Final = 0.7  # sine of half the angular width below which vehicles in opposite half-planes do not overlap
+# If the sines of half their angular widths are below this, vehicles more than 90 degrees apart do not overlap.
+NARROW: Final = 0.7
+
+# gates of weaknesses
 MOVES: Final = 0.05  # speed above which a vehicle moves [m/s]
 SUDDEN: Final = 2.0  # acceleration or braking beyond which a change of speed is sudden [m/s2]
 LARGE: Final = 7.0  # length above which a vehicle is large [m]
 CAR_LENGTH, CAR_WIDTH = 4.6, 1.9  # size of a large vehicle as seen at severity 1 (R1-7) [m]
+
+# the graph
 INTERVAL: Final = 0.25  # duration of one interval [s]
 N_INTERVALS: Final = 32  # number of intervals, up to 8 s
-TAILS_PER_NPC: Final = 8  # most ways on that are considered for one NPC
-HARD_LOW, HARD_HIGH = 0, 1  # stations of the ego's center with contact, or nearly so [m]
-SOFT_LOW, SOFT_HIGH = 2, 3  # stations of the ego's center too close for comfort, in time or space [m]
+TAILS_PER_NPC: Final = 8  # greatest number of ways ahead that are considered for one NPC
+HARD_LOW, HARD_HIGH = 0, 1  # range of stations of the ego's center at which it touches the vehicle, or nearly [m]
+SOFT_LOW, SOFT_HIGH = 2, 3  # range of stations of the ego's center too close for comfort, in time or space [m]
 COST = 4  # cost of being too close [1/s]
 LEADS = 5  # 1 for a vehicle ahead on the ego's path, 0 for one that crosses or merges
-LEAD_SPEED = 6  # least speed of that vehicle [m/s]
+LEAD_SPEED = 6  # growth of the least distance driven over the interval before; in the first, the present speed [m/s]
 N_COLUMNS = 7
 STEP = 1.0  # distance between the stations at which an NPC's box is placed on its way [m]
-N_STEPS = 128
+N_STEPS = 128  # greatest number of these stations on one way
 
 
 class StationTime(NamedTuple):
     """Spans of the ego's stations that other vehicles occupy in each interval of time."""
 
-    spans: Floats  # occupied spans with the columns above, shape (N_INTERVALS, most, 7)
-    counts: Ints  # number of spans in each interval, shape (N_INTERVALS,)
+    spans: Floats  # columns HARD_LOW to LEAD_SPEED, shape (N_INTERVALS, most, N_COLUMNS); see `counts`
+    counts: Ints  # number of rows of `spans` that each interval uses, shape (N_INTERVALS,)
     reaches: Floats  # least and greatest station of the spans in each interval, shape (N_INTERVALS, 2) [m]
     occupied: Floats  # working space for one NPC's stretches along its way, shape (N_STEPS, 2) [m]
     tails: Ints  # working space for one NPC's ways, shape (TAILS_PER_NPC,)
@@ -76,7 +83,7 @@ class Motion(NamedTuple):
 
 
 class Projection(NamedTuple):
-    """Input of the projection of an obstacle, apart from the obstacle."""
+    """What the projection of an NPC onto the ego's path needs, apart from the NPC."""
 
     path: Path  # path of the ego
     profile: LateralProfile  # planned offset from that path
@@ -101,7 +108,7 @@ def project_obstacles(
     """Fill the station-time graph with every NPC's predicted motion along every way it has.
 
     `blind` is the distance ahead of the ego below which the centers of vehicles in the target lane are ignored [m],
-    minus infinity for none. The room's bits are added to. For the rest, see `Projection`.
+    minus infinity for none. Bits are added to `room.bits`, and never cleared. For the rest, see `Projection`.
     """
     room.counts[:] = 0
     room.reaches[:, 0], room.reaches[:, 1] = math.inf, -math.inf
@@ -119,7 +126,7 @@ def project_obstacles(
             touched = _project(view, way, motion, seen)
             if not seen:
                 note(room.bits, R1_8, touched)
-            elif weak:
+            elif weak:  # triggered if the false or the true motion meets the ego's path
                 note(room.bits, weak, touched or _occupy(view, way, true)[0] >= 0)
 
 
@@ -128,16 +135,16 @@ def _ignored(view: Projection, row: int, blind: float) -> bool:
     """Return whether an NPC in the target lane is too far behind to be considered (weaknesses R1-5 and R1-6)."""
     if blind == -math.inf or view.profile.length == 0.0:
         return False
-    at, aside = project_on_path(view.path, view.scene[row, X], view.scene[row, Y])
-    return bool(abs(aside - view.profile.last) < view.path.lane_width / 2 and at - view.station < blind)
+    station, offset = project_on_path(view.path, view.scene[row, X], view.scene[row, Y])
+    return bool(abs(offset - view.profile.last) < view.path.lane_width / 2 and station - view.station < blind)
 
 
 @kernel_inner
 def _steps(motion: Motion, p: Numbers) -> int:
     """Return the number of steps that an NPC can drive along its way within the horizon."""
     horizon = N_INTERVALS * INTERVAL
-    longest = max(p.following_time, p.crossing_time + p.crossing_time_growth * horizon)
-    _, farthest = reach(motion.speed, motion.acceleration, motion.memory, motion.limit, 0.0, horizon + longest)
+    longest_margin = max(p.following_time, p.crossing_time + p.crossing_time_growth * horizon)
+    _, farthest = reach(motion.speed, motion.acceleration, motion.memory, motion.limit, 0.0, horizon + longest_margin)
     return min(int(farthest / STEP) + 2, N_STEPS)
 
 
@@ -152,8 +159,8 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
     first, last = _occupy(view, way, motion)
     if first < 0:
         return False
-    ahead = first == 0
-    if ahead and occupied[0, 0] + occupied[0, 1] < 2 * view.station:
+    ahead = first == 0  # it is on the ego's path already
+    if ahead and occupied[0, 0] + occupied[0, 1] < 2 * view.station:  # the middle of its box is behind the ego
         return False
     if not seen:
         return True
@@ -162,15 +169,17 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
     before = 0.0
     for k in range(N_INTERVALS):
         time = k * INTERVAL
-        driven, until = reach(speed, acceleration, memory, limit, time, time + INTERVAL)
-        lead_speed = (driven - before) / INTERVAL if k > 0 else speed
-        before = driven
+        least, greatest = reach(speed, acceleration, memory, limit, time, time + INTERVAL)
+        lead_speed = (least - before) / INTERVAL if k > 0 else speed
+        before = least
         margin = p.following_time if ahead else p.crossing_time + p.crossing_time_growth * time
-        near, far = reach(speed, acceleration, memory, limit, max(time - margin, 0.0), time + INTERVAL + margin)
-        soft_low, soft_high = _stretch(occupied, first, last, near, far)
+        soft_least, soft_greatest = reach(
+            speed, acceleration, memory, limit, max(time - margin, 0.0), time + INTERVAL + margin
+        )
+        soft_low, soft_high = _stretch(occupied, first, last, soft_least, soft_greatest)
         if soft_low > soft_high:
             continue
-        low, high = _stretch(occupied, first, last, driven, until)
+        low, high = _stretch(occupied, first, last, least, greatest)
         i = room.counts[k]
         spans[k, i, HARD_LOW] = low - half_length - p.bumper_gap
         spans[k, i, HARD_HIGH] = high + half_length + p.bumper_gap
@@ -187,9 +196,9 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
 
 @kernel_inner
 def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
-    """Compute the stretch of the ego's path that an NPC's box occupies at each step; return the first and last.
+    """Compute the stretch of the ego's path that an NPC's box occupies at each step along its way.
 
-    They are -1 if the box is never on the path.
+    Returned are the first and the last step at which the box is on the path, -1 for none.
     """
     graph, room = view.graph, view.room
     tail, start = graph.tails[room.tails[way]], room.stations[way]
@@ -219,14 +228,14 @@ def _occupy_lane(
     straight = lanes[lane, CURVATURE] == 0.0
     length = motion.length if straight else motion.turning_length
     width = motion.width if straight else motion.turning_width
-    strip = view.scene[EGO, WIDTH] / 2 + view.p.side_gap
+    half_strip = view.scene[EGO, WIDTH] / 2 + view.p.side_gap
     end = math.inf if is_last else lanes[lane, LANE_LENGTH]
     first, last = -1, -1
     while step < steps and start + step * STEP <= end:
         station, low, high = start + step * STEP, math.inf, -math.inf
-        if not is_beside(places[int(station)], view.profile, length, width, strip):
+        if not is_beside(places[int(station)], view.profile, length, width, half_strip):
             x, y, cos, sin = direction_on_lane(lanes, lane, station)
-            low, high = box_on_path(view.path, view.profile, Box(x, y, cos, sin, length, width), strip)
+            low, high = box_on_path(view.path, view.profile, Box(x, y, cos, sin, length, width), half_strip)
         occupied[step, 0], occupied[step, 1] = low, high
         if low <= high:
             first, last = (step if first < 0 else first), step
@@ -292,7 +301,7 @@ def false_motion(true: Motion, weak: int, p: Numbers) -> Motion:
 @kernel_inner
 def _is_hidden(scene: Floats, row: int, p: Numbers) -> bool:
     """Return whether a vehicle counts as hidden (weakness R1-1)."""
-    if math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]) < p.occlusion_beyond:
+    if _distance(scene, row) < p.occlusion_beyond:
         return False
     return bool(hidden_share(scene, row) > 1.0 - p.occlusion)
 
@@ -319,12 +328,13 @@ def _distance(scene: Floats, row: int) -> float:
 
 @kernel_inner
 def _is_apart(scene: Floats, row: int, other: int) -> bool:
-    """Return whether two vehicles are surely in different directions from the ego. It takes no slow functions."""
+    """Return whether two vehicles are surely in different directions from the ego, by a test without trigonometry."""
     x, y = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]
     other_x, other_y = scene[other, X] - scene[EGO, X], scene[other, Y] - scene[EGO, Y]
     radius = (scene[row, LENGTH] + scene[row, WIDTH]) / 2  # an upper bound of half the diagonal
     other_radius = (scene[other, LENGTH] + scene[other, WIDTH]) / 2
     widths = radius * (abs(other_x) + abs(other_y)) + other_radius * (abs(x) + abs(y))
+    # the sine of the angle between them exceeds the sum of the sines of half their widths
     if abs(x * other_y - y * other_x) > (1.0 + MARGIN) * widths:
         return True
     if x * other_x + y * other_y >= 0.0:
@@ -339,8 +349,8 @@ def _is_apart(scene: Floats, row: int, other: int) -> bool:
 def _covered_share(scene: Floats, row: int, other: int) -> float:
     """Return the share of a vehicle's angular width that another one covers, negative with a gap between them."""
     bearing, low, high = bearings(scene, row)
-    middle, other_low, other_high = bearings(scene, other)
-    away = (middle - bearing + math.pi) % TWO_PI - math.pi
+    other_bearing, other_low, other_high = bearings(scene, other)
+    away = (other_bearing - bearing + math.pi) % TWO_PI - math.pi
     covered = min(high, away + other_high) - max(low, away + other_low)
     return covered / (high - low)
 

@@ -1,7 +1,7 @@
 """Contact of the ego with lines, and collisions of all vehicles: `RoadObject.handle_collisions`.
 
 There are two tests of boxes. They decide differently where boxes touch without overlapping: `boxes_touch` of
-`behavexplor.data.box_kernels`, and `collide`, which is highway-env's and also foresees contact.
+`behavexplor.data.box_kernels`, and `_contact` here, which is highway-env's and also foresees contact.
 """
 
 import math
@@ -18,9 +18,13 @@ RADIUS: Final = math.hypot(*EGO_SIZE) / 2  # distance of the ego's corners from 
 
 @kernel_inner
 def touches_line(lines: Floats, x: float, y: float, cos: float, sin: float) -> bool:
-    """Return whether the ego's box touches any of the lines, shape (lines, 4) [m]; see `corners`."""
+    """Return whether the ego's box touches any of the lines, shape (lines, 4): x and y of both ends [m].
+
+    `x` and `y` are the ego's center [m], `cos` and `sin` those of its heading.
+    """
     for i in range(len(lines)):
         ax, ay, bx, by = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
+        # beside the ego by more than its radius, along x or y
         if min(ax, bx) - x > RADIUS or x - max(ax, bx) > RADIUS or min(ay, by) - y > RADIUS or y - max(ay, by) > RADIUS:
             continue
         if line_distance(x, y, ax, ay, bx, by) > RADIUS:
@@ -32,15 +36,15 @@ def touches_line(lines: Floats, x: float, y: float, cos: float, sin: float) -> b
 
 @kernel_inner
 def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: int, dt: float, xs: Floats) -> None:
-    """Find collisions of all pairs, and note what they do to the vehicles.
+    """Find collisions of all pairs, and note the crashes and the pushes that part them in `vehicles`.
+
+    `vehicles` has the vehicles, then the obstacles. `dt` is the duration of a frame, for which a collision is foreseen
+    [s], and `xs` working memory for the positions along x, shape (N,).
 
     Most pairs are passed over at once, because they are too far apart along x, or because neither checks collisions.
-
-    The vehicles come first, then the obstacles. `dt` is the duration of a frame, for which a collision is foreseen [s],
-    and `xs` memory for the positions along x, shape (N,).
     """
     longest = 0.0
-    end_of_checking = 0
+    end_of_checking = 0  # after the last one that checks collisions
     for j in range(n_vehicles + n_obstacles):
         xs[j] = vehicles[j].x
         longest = max(longest, traits[j].diameter)
@@ -58,7 +62,7 @@ def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: in
 
 @kernel_inner
 def _count_within(xs: Floats, x: float, reach: float) -> int:
-    """Return how many of the first positions contain all that are within reach, in one pass without branches."""
+    """Return the least number of first positions that include all within reach of x [m]: one pass without branches."""
     end = 0
     for k in range(len(xs)):
         end = max(end, k + 1 if abs(xs[k] - x) <= reach else 0)
@@ -74,12 +78,12 @@ def _collide_pair(vehicle: Vehicle, traits: Traits, other: Vehicle, other_traits
     if math.sqrt(dx * dx + dy * dy) > (traits.diameter + other_traits.diameter) / 2 + vehicle.speed * dt:
         return
     a, b = _box(vehicle, traits), _box(other, other_traits)
-    dx = vehicle.speed * vehicle.cos * dt - other.speed * other.cos * dt
-    dy = vehicle.speed * vehicle.sin * dt - other.speed * other.sin * dt
-    is_now, is_soon, push_x, push_y = _contact(a, b, dx, dy)
+    motion_x = vehicle.speed * vehicle.cos * dt - other.speed * other.cos * dt
+    motion_y = vehicle.speed * vehicle.sin * dt - other.speed * other.sin * dt
+    is_now, is_soon, push_x, push_y = _contact(a, b, motion_x, motion_y)
     if is_soon:
-        share = 1.0 if other_traits.kind == OBSTACLE else 2.0
-        vehicle.impact_x, vehicle.impact_y, vehicle.has_impact = push_x / share, push_y / share, True
+        parts = 1.0 if other_traits.kind == OBSTACLE else 2.0
+        vehicle.impact_x, vehicle.impact_y, vehicle.has_impact = push_x / parts, push_y / parts, True
         if other_traits.kind != OBSTACLE:
             other.impact_x, other.impact_y, other.has_impact = -push_x / 2, -push_y / 2, True
     if is_now:
@@ -88,13 +92,13 @@ def _collide_pair(vehicle: Vehicle, traits: Traits, other: Vehicle, other_traits
 
 @kernel_inner
 def _box(vehicle: Vehicle, traits: Traits) -> Corners:
-    """Compute the corners of a vehicle: `RoadObject.polygon`, which begins with the third of them."""
+    """Compute the corners of a vehicle. They are those of `RoadObject.polygon`, which lists the third of them first."""
     return corners(vehicle.x, vehicle.y, vehicle.cos, vehicle.sin, traits.length, traits.width)
 
 
 @kernel_inner
 def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, float, float]:
-    """Return whether two boxes overlap, whether they will, and the push that parts them [m].
+    """Return whether two boxes overlap, whether they will within the frame, and the push that parts them [m].
 
     `dx` and `dy` are the motion of box a relative to box b [m].
 
@@ -105,7 +109,7 @@ def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, 
     push_x = push_y = 0.0
     for side in range(8):
         xs, ys = a if side < 4 else b
-        start, end = (side + 2) % 4, (side + 3) % 4
+        start, end = (side + 2) % 4, (side + 3) % 4  # in the order of `RoadObject.polygon`, for equal gaps
         nx, ny = -ys[end] + ys[start], xs[end] - xs[start]
         norm = math.sqrt(nx * nx + ny * ny)
         nx, ny = nx / norm, ny / norm
@@ -140,5 +144,6 @@ def _gap(low_a: float, high_a: float, low_b: float, high_b: float) -> float:
 
 @kernel_inner
 def _center(box: Corners) -> tuple[float, float]:
+    """Compute a box's center. Its corners are added in the order of `RoadObject.polygon`, for equal roundings."""
     xs, ys = box
     return (xs[2] + xs[3] + xs[0] + xs[1]) / 4, (ys[2] + ys[3] + ys[0] + ys[1]) / 4

@@ -24,7 +24,7 @@ THING: Final = record_type(
     heading=np.float64,  # [rad]
     speed=np.float64,  # [m/s]
     lane=np.int64,  # the closest one, in the order of `RoadNetwork.lanes_dict`; NO_LANE for an obstacle
-    target_lane=np.int64,  # NO_LANE for what aims at none
+    target_lane=np.int64,  # the lane that it steers for; NO_LANE if it steers for none
     crashed=np.bool_,
 )
 
@@ -32,7 +32,7 @@ THING: Final = record_type(
 class FrameLog(NamedTuple):
     """The frames of the latest decision of B episodes, each with room for N vehicles and obstacles.
 
-    With room for a single one, it is the ego.
+    If N is 1, only the ego is logged.
     """
 
     frames: Records  # shape (B, frames) of `FRAME`
@@ -42,20 +42,21 @@ class FrameLog(NamedTuple):
 
 
 def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
-    """Create a log without entries. If `n_frames` is 0, nothing is ever logged."""
+    """Create an empty log of some frames for each slot, with room for a number of vehicles and obstacles.
+
+    If `n_frames` is 0, nothing is ever logged. If `n_places` is 1, only the ego is.
+    """
     return FrameLog(np.zeros((n_slots, n_frames), FRAME), np.zeros((n_slots, n_frames, n_places), THING))
 
 
 @kernel_inner
 def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> None:
-    """Log the present state, in which the vehicles' places on their lanes have been noted, in `frame` and `things`.
+    """Write the present state of an episode to `frame` and `things`, or only the ego's if there is one of `things`.
 
-    If there is room for one of `things`, it is the ego.
+    The stations and offsets in `scene.scratch` must be those of the present positions.
     """
     episode = scene.episode
-    first, count = 0, episode.n_vehicles + episode.n_obstacles
-    if len(things) == 1:
-        first, count = episode.ego, 1
+    first, count = (episode.ego, 1) if len(things) == 1 else (0, episode.n_vehicles + episode.n_obstacles)
     frame.n_things, frame.ego = count, episode.ego - first
     station, offset = scene.scratch.stations[episode.ego], scene.scratch.offsets[episode.ego]
     frame.is_on_road = is_on_lane(network.lanes[scene.vehicles[episode.ego].lane], station, offset, 0.0)

@@ -8,7 +8,7 @@ from typing import Final
 
 from highway_env.road.lane import AbstractLane
 
-from behavexplor.envs.engine.lane_network import ALL_NEAR, CIRCULAR, ON_LANE, SINE, STRAIGHT, Lane, Network
+from behavexplor.envs.engine.lane_network import ALL_NEAR, CIRCULAR, NEAR_LIMIT, SINE, STRAIGHT, Lane, Network
 from behavexplor.envs.engine.state import Scene, Vehicle
 from behavexplor.jit import kernel_inner
 
@@ -136,7 +136,7 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
     """
     best, place = likely, lane_coordinates(network.lanes[likely], x, y)
     apart = _distance(network.lanes[likely], *place)
-    near = network.lanes[likely].near if apart <= ON_LANE else ALL_NEAR
+    near = network.lanes[likely].near if apart <= NEAR_LIMIT else ALL_NEAR
     if _is_alone(network, near, likely, x, y, apart + math.pi):  # at any heading
         return best, *place
     nearest = _distance_with_heading(network.lanes[likely], *place, heading)
@@ -211,7 +211,7 @@ def _least_distance_beyond_arc(lane: Lane, dx: float, dy: float, distance: float
     """
     if distance < SLACK:  # at the center, which is in no direction
         return 0.0
-    beyond = lane.half_arc - (dx * lane.cos + dy * lane.sin) / distance
+    beyond = lane.cos_half_arc - (dx * lane.cos + dy * lane.sin) / distance
     return float(lane.radius * max(beyond, 0.0))
 
 

@@ -26,16 +26,16 @@ LANE: Final = record_type(
     kind=np.int64,
     x=np.float64,  # start, or center of the circle [m]
     y=np.float64,
-    cos=np.float64,  # direction of a straight line, or of an arc's middle as seen from its center
+    cos=np.float64,  # direction of a straight lane or of a sine's axis, or of an arc's middle as seen from its center
     sin=np.float64,
-    heading=np.float64,  # of a straight line [rad]
+    heading=np.float64,  # of a straight lane or of a sine's axis [rad]
     length=np.float64,  # [m]
     width=np.float64,  # [m]
     amplitude=np.float64,  # of a sine [m]
     pulsation=np.float64,  # of a sine [rad/m]
     phase=np.float64,  # of a sine, or start phase of a circle [rad]
     radius=np.float64,  # [m]
-    half_arc=np.float64,  # cosine of half an arc's angle; -1: a full circle
+    cos_half_arc=np.float64,  # cosine of half an arc's angle; -1: a full circle
     turn=np.float64,  # 1 if a circle runs clockwise on the screen, else -1
     speed_limit=np.float64,  # [m/s]; NaN: none
     priority=np.int64,
@@ -45,7 +45,7 @@ LANE: Final = record_type(
     number=np.int64,  # on its road
     first_link=np.int64,  # the lane's rows in `Network.links`
     n_links=np.int64,
-    near=np.int64,  # bit i says whether lane i is near, see `ON_LANE`; ALL_NEAR of more than `MOST_BITS` lanes
+    near=np.int64,  # bit i is set if lane i may be as close as this one, see `NEAR_LIMIT`; or ALL_NEAR
 )
 
 ROAD: Final = record_type(
@@ -57,16 +57,21 @@ ROAD: Final = record_type(
     n_exits=np.int64,
 )
 
-LINK: Final = record_type(lane=np.int64, offset=np.float64)
+LINK: Final = record_type(
+    lane=np.int64,
+    offset=np.float64,  # added to a station on that lane: the station along the first lane [m]
+)
 
-# If a point is at most this distant from a lane, the lanes that are not near that one are certainly farther [m].
-ON_LANE: Final = 2.0
-ALL_NEAR, MOST_BITS = -1, 62
+# If a point is at most this far from a lane [m], every lane that is not `near` that one is farther, at any heading.
+NEAR_LIMIT: Final = 2.0
+ALL_NEAR: Final = -1  # every bit is set
+MOST_BITS: Final = 62  # greatest number of lanes that have a bit each; with more, all count as near
 _SAMPLES: Final = 64  # points of a lane's center line
-_ROUNDING: Final = 1e-3  # more than the rounding errors of a distance of center lines [m]
+_ROUNDING: Final = 1e-3  # more than the rounding errors of a distance between center lines [m]
 
 _CLASSES: Final = {STRAIGHT: StraightLane, SINE: SineLane, CIRCULAR: CircularLane}
-_CHANGEABLE: Final = frozenset({"__init__", "from_config", "to_config"})  # by subclasses, whose attributes are read
+# what a subclass may replace, because the geometry is read from the attributes of its lanes
+_CHANGEABLE: Final = frozenset({"__init__", "from_config", "to_config"})
 
 
 class Network(NamedTuple):
@@ -74,9 +79,9 @@ class Network(NamedTuple):
 
     lanes: Records  # all lanes, shape (lanes,) of `LANE`
     roads: Records  # all roads, shape (roads,) of `ROAD`
-    exits: Ints  # numbers of the roads that begin where a road ends, for one road after the other
-    # lanes on which `Road.neighbour_vehicles` looks for vehicles, for one lane after the other, with the offset of
-    # their stations [m], of `LINK`. The first link of a lane is the lane itself.
+    exits: Ints  # for each road in turn, the numbers of the roads that begin where it ends, shape (exits,)
+    # for each lane in turn, itself and the other lanes on which `Road.neighbour_vehicles` looks for vehicles, shape
+    # (links,) of `LINK`
     links: Records
 
 
@@ -100,11 +105,12 @@ def make_network(
     """Convert a road network of highway-env to tables.
 
     `connected_lanes` is highway-env's option `neighbour_vehicles_connected_lanes`: neighbors are looked for on
-    preceding and following lanes, too. The meaning of the lanes marked by `is_goal` is the environment's. Lanes of the
-    classes `same_geometry` compute the same in another way.
+    preceding and following lanes, too. `is_goal` says which lanes are marked; what the mark means is up to the
+    environment. Lanes of the classes `same_geometry` are accepted although they replace methods, because their
+    geometry is the same.
 
     Raises:
-        InputError: if a lane has another geometry.
+        InputError: if a lane is neither straight nor a sine nor an arc.
     """
     roads = list(_roads(network))
     numbers = road_numbers(network)
@@ -112,10 +118,10 @@ def make_network(
     lanes = np.zeros(sum(len(group) for _, group in roads), LANE).view(np.recarray)
     table = np.zeros(len(roads), ROAD).view(np.recarray)
     exits: list[int] = []
+    first = 0  # lane of the road
     for road, ((origin, target), group) in enumerate(roads):
         ends = [nodes.setdefault(node, len(nodes)) for node in (origin, target)]
         following = [numbers[target, node] for node in network.graph.get(target, {})]
-        first = sum(len(before) for _, before in roads[:road])
         table[road] = (first, len(group), *ends, len(exits), len(following))
         exits += following
         for number, lane in enumerate(group):
@@ -123,6 +129,7 @@ def make_network(
             row.kind = _kind(lane, (origin, target, number), same_geometry)
             _describe(row, lane)
             row.road, row.number, row.is_goal = road, number, is_goal((origin, target, number))
+        first += len(group)
     links = _link(network, lanes, connected_lanes=connected_lanes)
     lanes["near"] = _near_lanes(lanes)
     return Network(lanes.view(np.ndarray), table.view(np.ndarray), np.array(exits, dtype=np.int64), links)
@@ -135,12 +142,12 @@ def _roads(network: RoadNetwork) -> Iterator[tuple[tuple[str, str], list[Abstrac
 
 
 def _describe(row: Lane, lane: AbstractLane) -> None:
-    """Fill a lane's row, which has its kind, with its geometry and its rules."""
+    """Fill in the geometry and the rules of a lane whose row already has its kind."""
     if row.kind == CIRCULAR:
         (row.x, row.y), row.radius, row.turn = lane.center, lane.radius, lane.direction
         half = lane.length / lane.radius / 2
         middle = lane.start_phase + lane.direction * half
-        row.phase, row.half_arc = lane.start_phase, math.cos(min(abs(half), math.pi))
+        row.phase, row.cos_half_arc = lane.start_phase, math.cos(min(abs(half), math.pi))
         row.cos, row.sin = math.cos(middle), math.sin(middle)
     else:
         (row.x, row.y), (row.cos, row.sin), row.heading = lane.start, lane.direction, lane.heading
@@ -164,7 +171,7 @@ def _kind(lane: AbstractLane, index: LaneIndex, same_geometry: Collection[type[A
 
 
 def _link(network: RoadNetwork, lanes: Records, *, connected_lanes: bool) -> Records:
-    """Fill the lanes' `first_link` and `n_links`, and return the links: `Road.neighbour_vehicles`."""
+    """Fill in the lanes' `first_link` and `n_links`, and return all links, see `Network.links`."""
     indexes = {index: row for row, index in enumerate(lane_indexes(network))}
     links: list[tuple[int, float]] = []
     for (origin, target, number), row in indexes.items():
@@ -182,27 +189,32 @@ def _link(network: RoadNetwork, lanes: Records, *, connected_lanes: bool) -> Rec
 
 
 def _near_lanes(lanes: Records) -> list[int]:
-    """Return the field `near` of the lanes.
+    """Return the bits `near` of each lane.
 
     A point's distance from a lane, in highway-env's measure, is at least that from its center line. So if a point is r
-    from one lane, and the center lines are d apart, it is at least d - r from the other. That is more than r and any
-    difference of headings, pi, if d is more than 2 r + pi.
+    from one lane, and the center lines are d apart, it is at least d - r from the other. If d is
+    more than 2 r + pi, that is more than r + pi: the distance from the first one and any difference of headings.
     """
     if len(lanes) > MOST_BITS:
         return [ALL_NEAR] * len(lanes)
-    return [sum(1 << i for i in found) for found in _lanes_within(lanes.tobytes(), 2 * ON_LANE + math.pi)]
+    return [sum(1 << i for i in found) for found in _lanes_within(lanes.tobytes(), 2 * NEAR_LIMIT + math.pi)]
 
 
 @lru_cache(maxsize=16)  # it takes milliseconds, and environments that make their own roads make them in every episode
 def _lanes_within(lanes: bytes, reach: float) -> list[list[int]]:
-    """Return for each lane which others may have center lines within a distance of its own [m]."""
+    """Return for each lane the numbers of the others whose center lines may come within `reach` of its own [m].
+
+    `lanes` has the bytes of the table, because arguments of a cached function are hashed.
+    """
     rows = np.frombuffer(lanes, LANE)
     lines = np.array([_center_line(row) for row in rows])
-    # a point of a line is at most half the greatest step away from a sample, along the line
+    # A point of a line is at most half the greatest step away from a sample. A curve is a little longer than the
+    # straight step between two samples: less than a tenth.
     slack = 1.1 * np.linalg.norm(np.diff(lines, axis=1), axis=2).max(axis=1, initial=0.0) / 2
     found = []
     for i, line in enumerate(lines):
         points, others = line - lines[i, 0], lines - lines[i, 0]
+        # squared distances of all samples, shape (lanes, samples of the other, samples of this one)
         square = (points**2).sum(1) + (others**2).sum(2)[:, :, None] - 2 * others @ points.T
         apart = np.sqrt(square.min(axis=(1, 2)).clip(0.0)) - slack - slack[i]
         found.append([j for j in np.flatnonzero(apart <= reach + _ROUNDING).tolist() if j != i])
@@ -222,4 +234,5 @@ def _center_line(lane: Lane) -> Floats:
 
 
 def _same_or_first(number: int, lanes: list[AbstractLane]) -> int:
+    """Return a lane's number if another road has a lane with it, or else 0, as highway-env does."""
     return number if number < len(lanes) else 0

@@ -5,9 +5,10 @@ generator that it is handed, which is as long as an environment takes for a whol
 a generator is an array here: the high and low half of the state, the high and low half of the increment, whether half
 of a 64-bit word is left over, and this half.
 
-Draws can also be given. The rest of the array is then the index of the next given draw, their number, and their
-standard forms as the bits of floating-point numbers: the position u of a uniform number in its range, of a choice in
-[0, 1); the distance z of a normal number from the mean. When all of them are used, the generator draws again.
+Draws can also be given. The array then goes on with the index of the next given draw, their number, and the draws
+themselves, each a float in a standard form, stored as its bits. The form of a uniform number is its position u in the
+range, that of a choice a u in [0, 1), and that of a normal number its value z in the standard normal distribution. When
+all of them are used, the generator draws again.
 
 The draws are those of numpy's `distributions.c` and `_generator.pyx` (BSD-3-Clause). The tables of the normal
 distribution in `ziggurat.npz` are those of numpy's `ziggurat_constants.h`, as numba has them (BSD-2-Clause).
@@ -26,26 +27,28 @@ from behavexplor.jit import kernel_inner
 Words = NDArray[np.uint64]
 
 N_WORDS = 8
-HIGH, LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF, NEXT_FORM, N_FORMS = range(N_WORDS)
+HIGH, LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF, NEXT_GIVEN, N_GIVEN = range(N_WORDS)
 
-# Numba would compile a function once more for each constant of Python's own type.
+# For a plain Python constant, numba would compile the called function once more.
 TWO: Any = np.int64(2)
 THREE: Any = np.int64(3)
 FOUR: Any = np.int64(4)
 
 _MULTIPLIER_HIGH: Final = np.uint64(0x2360ED051FC65DA4)
 _MULTIPLIER_LOW: Final = np.uint64(0x4385DF649FCCF645)
-_MASK: Final = np.uint64(0xFFFFFFFF)
-_BITS: Final = np.uint64(32)
+_LOW_HALF: Final = np.uint64(0xFFFFFFFF)
+_HALF_BITS: Final = np.uint64(32)
 _ONE: Final = np.uint64(1)
-_NONE: Final = np.uint64(0)
+_ZERO: Final = np.uint64(0)
 _MANTISSA: Final = np.uint64(0x000FFFFFFFFFFFFF)
 _UNIT: Final = 1.0 / 9007199254740992.0  # 2^-53
 
 with np.load(Path(__file__).with_name("ziggurat.npz")) as _tables:
+    # of each layer of the ziggurat: greatest size that is accepted at once, factor from size to x, density at its edge
     _KI: Words = _tables["ki"]
     _WI: Floats = _tables["wi"]
     _FI: Floats = _tables["fi"]
+# where the tail begins, and its inverse: numpy's ziggurat_nor_r and ziggurat_nor_inv_r
 _TAIL: Final = 3.654152885361009
 _INVERSE_TAIL: Final = 0.2736612373297583
 
@@ -60,7 +63,7 @@ def generator_words(generator: np.random.Generator) -> Words:
 
 def put_words(words: Words, generator: np.random.Generator) -> None:
     """Give a numpy generator on `PCG64` a state that `generator_words` returned, so that both draw the same numbers."""
-    high, low, increment_high, increment_low, has_half, half = (int(word) for word in words[:NEXT_FORM])
+    high, low, increment_high, increment_low, has_half, half = (int(word) for word in words[:NEXT_GIVEN])
     generator.bit_generator.state = {
         "bit_generator": "PCG64",
         "state": {"state": (high << 64) + low, "inc": (increment_high << 64) + increment_low},
@@ -70,22 +73,22 @@ def put_words(words: Words, generator: np.random.Generator) -> None:
 
 
 def give(words: Words, forms: Floats) -> None:
-    """Give a generator draws in standard form, shape (n,), in place of any earlier ones. It has room for them."""
-    words[NEXT_FORM], words[N_FORMS] = 0, len(forms)
+    """Give a generator draws in standard form, shape (n,), in place of any earlier ones. The array must have room."""
+    words[NEXT_GIVEN], words[N_GIVEN] = 0, len(forms)
     words[N_WORDS : N_WORDS + len(forms)] = forms.view(np.uint64)
 
 
 @kernel_inner
 def is_given(words: Words) -> bool:
     """Return whether the next draw is given."""
-    return bool(words[NEXT_FORM] < words[N_FORMS])
+    return bool(words[NEXT_GIVEN] < words[N_GIVEN])
 
 
 @kernel_inner
 def next_form(words: Words) -> float:
     """Return the standard form of the next given draw."""
-    place = np.int64(words[NEXT_FORM])
-    words[NEXT_FORM] += _ONE
+    place = np.int64(words[NEXT_GIVEN])
+    words[NEXT_GIVEN] += _ONE
     return float(words.view(np.float64)[N_WORDS + place])
 
 
@@ -93,13 +96,14 @@ def next_form(words: Words) -> float:
 def next_word(words: Words) -> np.uint64:
     """Draw 64 bits: one step of PCG XSL-RR 128/64."""
     high, low = words[HIGH], words[LOW]
-    a, b, c, d = low & _MASK, low >> _BITS, _MULTIPLIER_LOW & _MASK, _MULTIPLIER_LOW >> _BITS
-    middle = (a * c >> _BITS) + (a * d & _MASK) + (b * c & _MASK)
-    product = (a * c & _MASK) | ((middle & _MASK) << _BITS)
-    carried = b * d + (a * d >> _BITS) + (b * c >> _BITS) + (middle >> _BITS)
+    # the 128-bit product of the state and the multiplier, from halves of 32 bits
+    a, b, c, d = low & _LOW_HALF, low >> _HALF_BITS, _MULTIPLIER_LOW & _LOW_HALF, _MULTIPLIER_LOW >> _HALF_BITS
+    middle = (a * c >> _HALF_BITS) + (a * d & _LOW_HALF) + (b * c & _LOW_HALF)
+    product = (a * c & _LOW_HALF) | ((middle & _LOW_HALF) << _HALF_BITS)
+    carried = b * d + (a * d >> _HALF_BITS) + (b * c >> _HALF_BITS) + (middle >> _HALF_BITS)
     carried += high * _MULTIPLIER_LOW + low * _MULTIPLIER_HIGH
     low = product + words[INCREMENT_LOW]
-    high = carried + words[INCREMENT_HIGH] + (_ONE if low < product else _NONE)
+    high = carried + words[INCREMENT_HIGH] + (_ONE if low < product else _ZERO)
     words[HIGH], words[LOW] = high, low
     turn = high >> np.uint64(58)
     mixed = high ^ low
@@ -110,12 +114,12 @@ def next_word(words: Words) -> np.uint64:
 @kernel_inner
 def next_half(words: Words) -> np.uint64:
     """Draw 32 bits. The other half of the 64 bits that were drawn is kept for the next call."""
-    if words[HAS_HALF] != _NONE:
-        words[HAS_HALF] = _NONE
+    if words[HAS_HALF] != _ZERO:
+        words[HAS_HALF] = _ZERO
         return np.uint64(words[HALF])
     word = next_word(words)
-    words[HAS_HALF], words[HALF] = _ONE, word >> _BITS
-    return word & _MASK
+    words[HAS_HALF], words[HALF] = _ONE, word >> _HALF_BITS
+    return word & _LOW_HALF
 
 
 @kernel_inner
@@ -139,13 +143,14 @@ def integer(words: Words, n: int) -> int:
         return 0
     if is_given(words):
         return min(int(next_form(words) * n), n - 1)
+    # Lemire's method: products that would make some numbers more likely are drawn again
     count = np.uint64(n)
     product = next_half(words) * count
-    if (product & _MASK) < count:
-        threshold = (_MASK - (count - _ONE)) % count
-        while (product & _MASK) < threshold:
+    if (product & _LOW_HALF) < count:
+        threshold = (_LOW_HALF - (count - _ONE)) % count
+        while (product & _LOW_HALF) < threshold:
             product = next_half(words) * count
-    return np.int64(product >> _BITS)  # type: ignore[return-value]
+    return np.int64(product >> _HALF_BITS)  # type: ignore[return-value]
 
 
 @kernel_inner
@@ -172,12 +177,12 @@ def normal(words: Words) -> float:
         word >>= np.uint64(8)
         size = (word >> _ONE) & _MANTISSA
         x = size * _WI[layer]
-        if word & _ONE != _NONE:
+        if word & _ONE != _ZERO:
             x = -x
         if size < _KI[layer]:
             return float(x)
         if layer == 0:
-            return _tail(words, (size >> np.uint64(8)) & _ONE != _NONE)
+            return _tail(words, (size >> np.uint64(8)) & _ONE != _ZERO)
         if (_FI[layer - 1] - _FI[layer]) * random(words) + _FI[layer] < math.exp(-0.5 * x * x):
             return float(x)
 
@@ -202,6 +207,7 @@ def two_of(words: Words, n: int) -> tuple[int, int]:
         first = integer(words, n)
         second = integer(words, n - 1)
         return first, second + (second >= first)
+    # as in numpy: Floyd's algorithm, then a shuffle of the two
     first = integer(words, n - 1)
     second = integer(words, n)
     if second == first:
@@ -211,7 +217,7 @@ def two_of(words: Words, n: int) -> tuple[int, int]:
 
 @kernel_inner
 def weighted(words: Words, cumulated: Floats) -> int:
-    """Draw an index with given cumulated probabilities, the last one 1: `Generator.choice(n, size=1, p=p)`."""
+    """Draw an index by cumulated probabilities, shape (n,), the last one 1: `Generator.choice(n, size=1, p=p)`."""
     share = random(words)
     i = 0
     while i < len(cumulated) and cumulated[i] <= share:

@@ -10,7 +10,7 @@ from highway_env.envs.intersection_env import IntersectionEnv
 from behavexplor.data.array_types import Floats
 from behavexplor.envs.engine.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.pcg64 import FOUR, NEXT_FORM, THREE, Words, integer, is_given, normal, two_of, uniform
+from behavexplor.envs.engine.pcg64 import FOUR, NEXT_GIVEN, THREE, Words, integer, is_given, normal, two_of, uniform
 from behavexplor.envs.engine.state import MDP, NO_ROUTE, PLAIN, Scene
 from behavexplor.envs.engine.world import AS_EGO, AS_OTHER, World, draw_behavior, place_vehicle, plan_route
 from behavexplor.envs.tasks.reward_terms import ARRIVED, CRASHED, ON_ROAD, SPEED
@@ -112,10 +112,10 @@ def _spawn_vehicle(
     It appears about a station [m], with a probability unless there is no room. A challenger goes straight on, and
     starts at nearly the same place and speed every time.
     """
-    first, given = words[NEXT_FORM], is_given(words)
+    first, given = words[NEXT_GIVEN], is_given(words)
     _spawn(world, task, scene, words, station, probability, is_challenger)
     if given:
-        words[NEXT_FORM] = first + _N_DRAWS
+        words[NEXT_GIVEN] = first + _N_DRAWS
 
 
 @kernel_inner

@@ -21,7 +21,7 @@ from behavexplor.envs.engine.lane_geometry import (
     may_be_on_lane,
     note_places,
 )
-from behavexplor.envs.engine.lane_network import ALL_NEAR, ON_LANE, lane_indexes, make_network
+from behavexplor.envs.engine.lane_network import ALL_NEAR, NEAR_LIMIT, lane_indexes, make_network
 from behavexplor.envs.engine.reactive_traffic import UNKNOWN, neighbors
 from behavexplor.envs.engine.state import VEHICLE, Scene, make_scratch, make_slots
 from behavexplor.envs.highway.conversion import load_state
@@ -157,8 +157,8 @@ def random_lane(rng):
 
 
 def test_lanes_that_are_not_near_are_as_far_apart_as_is_promised():
-    """A point within `ON_LANE` of one is farther from the other, and by more than any difference of headings."""
-    rng, reach, n_apart = np.random.default_rng(0), 2 * ON_LANE + math.pi, 0
+    """A point within `NEAR_LIMIT` of one is farther from the other, and by more than any difference of headings."""
+    rng, reach, n_apart = np.random.default_rng(0), 2 * NEAR_LIMIT + math.pi, 0
     for _ in range(10):
         road, lanes = RoadNetwork(), [random_lane(rng) for _ in range(20)]
         for lane in lanes:
