@@ -340,6 +340,12 @@ def test_another_program_or_configuration_is_noticed_on_resuming(tmp_path):
         run(tmp_path / "a", seed=9)
 
 
+@pytest.mark.parametrize(("novelty", "is_novel"), [(0.4, False), (0.41, True)])
+def test_a_behavior_at_the_threshold_itself_is_not_novel(tmp_path, monkeypatch, novelty, is_novel):
+    monkeypatch.setattr(NoveltyArchive, "observe", lambda *_: novelty)
+    assert [r["novel"] for r in run(tmp_path / "a", budget="2")] == [is_novel] * 2
+
+
 def test_progress_counts_each_failure_once(tmp_path):
     last = []
     records = run(tmp_path / "a", observe=last.append, budget="60", method="uniform")

@@ -45,15 +45,17 @@ def test_uniform_vehicles_meet_it_seldom():
     assert np.mean(met) < 0.4
 
 
-def test_a_vehicle_from_behind_in_the_ego_s_lane_is_not_taken():
-    logical = LaneChangeEnv.logical
-    drive, aiming = drive_along(logical, speed=3.0), Aiming(logical, AimingOptions(changing_share=0.0))
+@pytest.mark.parametrize(("logical", "seconds"), [(LaneChangeEnv.logical, 30.0), (IntersectionLeftEnv.logical, 20.0)])
+def test_a_vehicle_from_behind_in_the_ego_s_lane_is_not_taken(logical, seconds):
+    """Whichever way the ego goes: to the east, or to the north up to the intersection."""
+    drive, aiming = drive_along(logical, 3.0, seconds), Aiming(logical, AimingOptions(changing_share=0.0))
     found = [aiming.aim(np.random.default_rng(seed), drive, []) for seed in range(40)]
     assert found.count(None) < 20
     for npc in filter(None, found):
         _, row, motion = nearest(logical, npc, drive)
-        x, y = motion[row, [X, Y]] - drive.pose[row, :2]
-        assert not (x < 0 and abs(y) < 1.75 and abs(motion[row, HEADING]) < 0.8)
+        (x, y), heading = motion[row, [X, Y]] - drive.pose[row, :2], drive.pose[row, 2]
+        ahead, right = x * np.cos(heading) + y * np.sin(heading), y * np.cos(heading) - x * np.sin(heading)
+        assert not (ahead < 0 and abs(right) < 1.75 and np.cos(motion[row, HEADING] - heading) > 0.7)
 
 
 def test_a_standing_ego_cannot_be_met():
