@@ -105,7 +105,7 @@ class Round:
     steps: int  # number of decisions in all training so far
     validated: int  # number of scenarios in the validation
     failures: tuple[int, ...]  # numbers of the validation scenarios in which the policy failed by its own fault
-    passed: int  # number of validation scenarios in which it did not fail, whoever was at fault
+    passed: int  # number of validation scenarios without any failure
     pool: int = 0  # number of scenarios in the pool at the end of the round
     digest: str = ""  # SHA-256 of the scenarios in the pool
     # number of failures worth training on that the round's campaign found; None without a campaign

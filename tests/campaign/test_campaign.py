@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from behavexplor.behavior.novelty import NoveltyArchive
+from behavexplor.behavior.novelty import NOVELTY_THRESHOLD, NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, ExecutionError, search_method
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.folder_format import DATABASE
@@ -340,7 +340,7 @@ def test_another_program_or_configuration_is_noticed_on_resuming(tmp_path):
         run(tmp_path / "a", seed=9)
 
 
-@pytest.mark.parametrize(("novelty", "is_novel"), [(0.4, False), (0.41, True)])
+@pytest.mark.parametrize(("novelty", "is_novel"), [(NOVELTY_THRESHOLD, False), (NOVELTY_THRESHOLD + 1e-9, True)])
 def test_a_behavior_at_the_threshold_itself_is_not_novel(tmp_path, monkeypatch, novelty, is_novel):
     monkeypatch.setattr(NoveltyArchive, "observe", lambda *_: novelty)
     assert [r["novel"] for r in run(tmp_path / "a", budget="2")] == [is_novel] * 2

@@ -24,7 +24,7 @@ def touches_line(lines: Floats, x: float, y: float, cos: float, sin: float) -> b
     """
     for i in range(len(lines)):
         ax, ay, bx, by = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
-        # beside the ego by more than its radius, along x or y
+        # farther from the ego than its radius, along x or y
         if min(ax, bx) - x > RADIUS or x - max(ax, bx) > RADIUS or min(ay, by) - y > RADIUS or y - max(ay, by) > RADIUS:
             continue
         if line_distance(x, y, ax, ay, bx, by) > RADIUS:

@@ -80,8 +80,8 @@ class Network(NamedTuple):
     lanes: Records  # all lanes, shape (lanes,) of `LANE`
     roads: Records  # all roads, shape (roads,) of `ROAD`
     exits: Ints  # for each road in turn, the numbers of the roads that begin where it ends, shape (exits,)
-    # for each lane in turn, itself and the other lanes on which `Road.neighbour_vehicles` looks for vehicles, shape
-    # (links,) of `LINK`
+    # for each lane in turn, the lane itself, then the others on which `Road.neighbour_vehicles` looks for vehicles,
+    # shape (links,) of `LINK`
     links: Records
 
 
@@ -192,8 +192,8 @@ def _near_lanes(lanes: Records) -> list[int]:
     """Return the bits `near` of each lane.
 
     A point's distance from a lane, in highway-env's measure, is at least that from its center line. So if a point is r
-    from one lane, and the center lines are d apart, it is at least d - r from the other. If d is
-    more than 2 r + pi, that is more than r + pi: the distance from the first one and any difference of headings.
+    from one lane, and the center lines are d apart, it is at least d - r from the other. If d is more than
+    2 r + pi, that is more than r + pi: the distance from the first one and any difference of headings.
     """
     if len(lanes) > MOST_BITS:
         return [ALL_NEAR] * len(lanes)
@@ -208,8 +208,8 @@ def _lanes_within(lanes: bytes, reach: float) -> list[list[int]]:
     """
     rows = np.frombuffer(lanes, LANE)
     lines = np.array([_center_line(row) for row in rows])
-    # A point of a line is at most half the greatest step away from a sample. A curve is a little longer than the
-    # straight step between two samples: less than a tenth.
+    # A point of a line is at most half the greatest step away from a sample. The factor leaves room for curves, which
+    # are longer than the straight step between two samples.
     slack = 1.1 * np.linalg.norm(np.diff(lines, axis=1), axis=2).max(axis=1, initial=0.0) / 2
     found = []
     for i, line in enumerate(lines):
