@@ -4,6 +4,7 @@ Numba itself only notices changes in a kernel's own file, not in the kernels and
 machine code of each module is in a folder whose name is a digest of all that it depends on.
 """
 
+import gc
 import hashlib
 import logging
 import os
@@ -39,6 +40,8 @@ _INSTALLATION = f"behavexplor-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest(
 # absolute import statements; relative ones are not followed
 _IMPORT = re.compile(r"^(?:from|import) ([.\w]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 _njit = cast("Any", numba.njit)  # its stubs leave some options out
+# Makes a number whose type is int64 only. A Python number has a type of its own, for which numba compiles once more.
+int64: Final = cast("Callable[[int], int]", np.int64)
 _COMPILING: Final = "Compiling to machine code; this takes some seconds, and the code is kept for next time ..."
 _COMPILING_SLOWLY: Final = (
     "Compiling to machine code; this takes minutes, and driving takes several times as long as usual, with numba "
@@ -187,28 +190,34 @@ def _compiled_again(module: str, name: str, types: tuple[Any, ...]) -> _MachineC
     return _MachineCode(getattr(import_module(module), name), types)
 
 
-class _Notice(event.Listener):
-    """Reports, once in each process, that kernels of this package are being compiled.
+class _Compilation(event.Listener):
+    """Reports, once in each process, that kernels of this package are being compiled, and puts off garbage collection.
 
-    The report is a log message of level WARNING, so that it shows without any logging configuration.
+    The report is a log message of level WARNING, so that it shows without any logging configuration. Collections would
+    take a tenth of the time, because the compiler makes millions of objects, and nearly all of them stay in use.
     """
 
     def __init__(self) -> None:
         self._is_said = False
+        self._collected: list[bool] = []  # whether garbage was collected before each compilation that has not ended
 
     def on_start(self, event: event.Event) -> None:
-        """Report that a function is about to be compiled. Numba does not call this for cached functions."""
+        """Note that a function is about to be compiled. Numba does not call this for cached functions."""
+        self._collected.append(gc.isenabled())
+        gc.disable()
         module = event.data["dispatcher"].py_func.__module__
         if self._is_said or not module.startswith(__package__):
             return
         self._is_said = True
         logging.getLogger(__name__).warning(_COMPILING if IS_TESTED else _COMPILING_SLOWLY)
 
-    def on_end(self, event: event.Event) -> None:
-        """Do nothing; numba requires this method."""
+    def on_end(self, event: event.Event) -> None:  # noqa: ARG002 - as numba calls it
+        """Collect garbage again after the outermost compilation."""
+        if self._collected.pop():
+            gc.enable()
 
 
-event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
+event.register("numba:compile", _Compilation())  # type: ignore[no-untyped-call]
 
 
 def keep_code_in(folder: Path) -> None:

@@ -1,6 +1,7 @@
 """Machine code that is kept is dropped when what it was made from changes; making it is announced."""
 
 import ast
+import gc
 import os
 import pickle
 import sqlite3
@@ -306,14 +307,31 @@ def compiling(module):
 
 
 def test_compiling_is_announced_once_and_only_ours(caplog):
-    notice = compiled._Notice()
+    notice = compiled._Compilation()
     notice.on_start(compiling("elsewhere.kernels"))
     notice.on_end(compiling("elsewhere.kernels"))
     assert caplog.messages == []
     for module in ("behavexplor.data.npc_motion", "behavexplor.envs.tasks.scripted_step"):
         notice.on_start(compiling(module))
         assert [record.name for record in caplog.records] == ["behavexplor.jit"]
+        notice.on_end(compiling(module))
     assert caplog.messages[0].startswith("Compiling to machine code")
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_garbage_is_not_collected_while_compiling_and_then_as_before(collects):
+    listener, before = compiled._Compilation(), gc.isenabled()
+    outer, inner = compiling("elsewhere.outer"), compiling("elsewhere.inner")
+    try:
+        (gc.enable if collects else gc.disable)()
+        listener.on_start(outer)
+        listener.on_start(inner)
+        listener.on_end(inner)
+        assert not gc.isenabled()
+        listener.on_end(outer)
+        assert gc.isenabled() == collects
+    finally:
+        (gc.enable if before else gc.disable)()
 
 
 FIRST_USE = """

@@ -24,7 +24,7 @@ from behavexplor.ads.rule.station_time import (
     StationTime,
 )
 from behavexplor.data.array_types import Floats, Ints
-from behavexplor.jit import kernel, kernel_inner
+from behavexplor.jit import int64, kernel, kernel_inner
 
 STAGES: Final = (2, 2, 4, 4, 4, 4, 6, 6)  # number of intervals in each stage of constant acceleration
 ACCELERATIONS: Final = (-8.0, -5.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0)  # candidate accelerations [m/s2]
@@ -123,10 +123,10 @@ def _search_below(
     cheaper than one within it. Without them, the search finds the same plan if its cost is within the bound. Only the
     order of the nodes changes, which matters if two costs are equal.
     """
-    now, following, count = nodes.stages[0], nodes.stages[1], 1
+    now, following = nodes.stages[0], nodes.stages[1]
     now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0
     now[0, TOTAL], now[0, RISK], now[0, INSIDE] = 0.0, 0.0, 0.0
-    survived, tied = 0, False
+    count, survived, tied = int64(1), int64(0), False
     for stage in range(len(STAGES)):
         n = _choose(now, count, stage, bound, situation.p, nodes)
         _begin(now, n, nodes)

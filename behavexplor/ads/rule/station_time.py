@@ -14,7 +14,7 @@ from behavexplor.ads.rule.prediction import Box, LaneGraph, box_on_path, find_ta
 from behavexplor.ads.rule.weaknesses import R1_1, R1_2, R1_4, R1_7, R1_8, note
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
-from behavexplor.jit import kernel, kernel_inner
+from behavexplor.jit import int64, kernel, kernel_inner
 
 TWO_PI = 2 * math.pi
 
@@ -203,7 +203,7 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
     graph, room = view.graph, view.room
     tail, start = graph.tails[room.tails[way]], room.stations[way]
     steps = _steps(motion, view.p)
-    first, last, step = -1, -1, 0
+    first, last, step = -1, -1, int64(0)
     for depth in range(len(tail)):
         if tail[depth] < 0:
             break
