@@ -55,7 +55,7 @@ def unconfirmed(config: CampaignConfig, run: Path, records: Iterable[Record]) ->
         if record.failed and seen[record.violation_class] < OF_EACH_CLASS and can_be_confirmed(record):
             seen[record.violation_class] += 1
             chosen.append(record.id)
-    tried = known(run) if chosen else {}
+    tried = read_confirmations(run) if chosen else {}
     return [number for number in chosen if number not in tried]
 
 
@@ -91,7 +91,7 @@ def keep(run: Path, number: int, found: Confirmation) -> None:
     write_durably(folder_in(run, FOLDER) / f"{number:06d}.json", json.dumps(asdict(found)) + "\n")
 
 
-def known(run: Path) -> dict[int, Confirmation]:
+def read_confirmations(run: Path) -> dict[int, Confirmation]:
     """Return the confirmations in a run folder by the numbers of their executions, without damaged ones."""
     found = {}
     for path in sorted((run / FOLDER).glob("*.json")):

@@ -1,4 +1,4 @@
-"""The file of a database, and how it is opened so that a file from elsewhere does nothing of its own.
+"""The file of a database, how it is opened so that a file from elsewhere does nothing of its own, and the run's lock.
 
 SQLite acts on a file before the first statement: it rolls a journal back, and a journal may name a file to delete.
 Views, triggers, virtual tables and expressions of a foreign schema are code that runs in the statements of others.
@@ -18,15 +18,20 @@ from behavexplor.campaign.folder_format import LOCK, SCHEMA
 from behavexplor.data.durable import check_file
 from behavexplor.errors import InputError
 
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks
+    fcntl = None  # type: ignore[assignment]
+
 MAX_VALUE: Final = 100_000_000  # greatest size of a stored value [bytes]; a trace has some thousand
 AUXILIARY: Final = ("-wal", "-shm", "-journal")  # endings of the files that SQLite keeps beside a database
 UNREADABLE: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)  # codes of errors
 
 _COMMENT: Final = re.compile(r"--[^'\"\n]*\n")  # without quotes, so that it cannot hide the end of a text
 _SUPER_JOURNAL: Final = bytes.fromhex("d9d505f920a163d7")  # the last bytes of a journal that names another one
-_NAME_RECORD: Final = 16  # least size of that name in a journal [bytes]
+_NAME_TRAILER: Final = 16  # size of what follows that name: its length, its checksum and these bytes [bytes]
 
-_Entry = tuple[str, str, str, str]
+_Entry = tuple[str, str, str, str]  # type, name, table and definition of something in a schema
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:
@@ -56,8 +61,8 @@ def wal_of(path: Path) -> Path:
 def _set_up(path: Path, connection: sqlite3.Connection, *, is_reader: bool) -> None:
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE)
     connection.text_factory = bytes  # checksums detect damaged text; decoding must not fail first
-    connection.execute("PRAGMA trusted_schema = OFF")
-    connection.execute("PRAGMA cell_size_check = ON")
+    connection.execute("PRAGMA trusted_schema = OFF")  # until it has been checked
+    connection.execute("PRAGMA cell_size_check = ON")  # damaged pages are found before they are used
     connection.execute("PRAGMA writable_schema = ON")  # read as much as possible of a truncated file
     _check_schema(path, connection, is_reader=is_reader)
     if is_reader:
@@ -76,10 +81,10 @@ def _check_files(path: Path) -> None:
     try:
         for file in (path, *(path.with_name(path.name + ending) for ending in AUXILIARY)):
             check_file(file)
-        end = _last_bytes(journal, _NAME_RECORD) if journal.exists() else b""
+        end = _last_bytes(journal, _NAME_TRAILER) if journal.exists() else b""
     except OSError as error:
         raise InputError(f"{path.parent} cannot be read: {error.strerror}") from None
-    if len(end) == _NAME_RECORD and end.endswith(_SUPER_JOURNAL):
+    if len(end) == _NAME_TRAILER and end.endswith(_SUPER_JOURNAL):
         raise InputError(
             f"{journal} names another journal, which SQLite would delete, and no campaign writes such a name: delete "
             f"{journal.name} if the folder is not your own"
@@ -97,15 +102,16 @@ def _check_schema(path: Path, connection: sqlite3.Connection, *, is_reader: bool
     try:
         for entry in _entries(connection):
             if entry not in _known_entries():
-                kind, name = entry[:2]
-                is_ours = name in {one[1] for one in _known_entries()}
+                kind, name, *_ = entry
+                is_ours = name in {ours for _, ours, *_ in _known_entries()}
                 mend = "restore it from a copy" if is_ours else f"if it is your own, drop the {kind}"
                 raise InputError(
                     f"{path} has the {kind} {name!r:.60}, which this version of behavexplor does not make so: it is "
                     f"not opened, because that could change what is read and written; {mend}"
                 )
     except sqlite3.DatabaseError as error:
-        if not is_reader or error.sqlite_errorcode & 0xFF not in UNREADABLE:
+        code = error.sqlite_errorcode & 0xFF  # without what extends it
+        if not is_reader or code not in UNREADABLE:  # readers still find rows in the pages that are left
             raise
 
 
@@ -128,18 +134,12 @@ def _known_entries() -> frozenset[_Entry]:
         return frozenset(_entries(connection))
 
 
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks
-    fcntl = None  # type: ignore[assignment]
-
-
 def lock_folder(folder: Path) -> IO[str]:
     """Lock a run folder against other campaigns until the returned file is closed.
 
     Raises:
         InputError: if another campaign holds the lock.
-        OSError: if the file of the lock cannot be written, or is none.
+        OSError: if the file of the lock cannot be written, or is not a regular file.
     """
     check_file(folder / LOCK)
     file = (folder / LOCK).open("a")

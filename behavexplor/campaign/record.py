@@ -1,4 +1,8 @@
-"""Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object."""
+"""Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object.
+
+A member of that object is a text `"name": value`. Members that are there already are not encoded again, because that
+takes a good part of a campaign's own time.
+"""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,13 +18,13 @@ from behavexplor.judge.specs import ERROR, Verdict
 
 __all__ = ["ERROR", "Record"]
 
-_KEYS: Final = {"violation_class": "class"}  # of a record in JSON, where they are not the names of the fields
+_KEYS: Final = {"violation_class": "class"}  # names in JSON of the fields that have another one there
 _FIELDS: Final = {key: name for name, key in _KEYS.items()}
-encode_json: Final = json.JSONEncoder(allow_nan=False).encode  # without the time that `json.dumps` takes to make one
+encode_json: Final = json.JSONEncoder(allow_nan=False).encode  # `json.dumps` would make an encoder for each call
 
 
 class WrittenValues(Mapping[str, Any]):
-    """Values by name in a JSON text, which is read when one of them is asked for."""
+    """Values by name in a JSON text. It is decoded when one of them is asked for; most texts are only written again."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -83,8 +87,9 @@ class Result:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """Return the result that a record has as JSON values."""
-        named = {_FIELDS.get(name, name): value for name, value in values.items()}
-        return cls(**named | {"violated": tuple(values["violated"])})
+        named = {_FIELDS.get(key, key): value for key, value in values.items()}
+        named["violated"] = tuple(values["violated"])
+        return cls(**named)
 
     @property
     def verdict(self) -> Verdict:
@@ -103,9 +108,8 @@ class Result:
 
     @property
     def result_members(self) -> list[str]:
-        """The members of a record that tell the result, see `members_of`."""
-        values = {_KEYS.get(name, name): getattr(self, name) for name in _RESULT}
-        return members_of({name: value for name, value in values.items() if value is not None})
+        """The members of a record that tell the result."""
+        return members_of(_values(self, _RESULT))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,14 +143,11 @@ class Record(Result, Ancestry):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record as JSON values, in a fixed order."""
-        # under the keys of a record, with lists and dictionaries as JSON has them
-        values: dict[str, Any] = {_KEYS.get(name, name): getattr(self, name) for name in _NAMES}
-        values |= {"violated": list(self.violated), "scenario": dict(self.scenario)}
-        return {name: value for name, value in values.items() if value is not None or name == "parent"}
+        return _values(self, _RECORD) | {"violated": list(self.violated), "scenario": dict(self.scenario)}
 
     @property
     def members(self) -> list[str]:
-        """The members of the record as a JSON object, see `members_of`."""
+        """The members of the record."""
         return members_of(self.to_dict())
 
     def to_json(self) -> str:
@@ -154,10 +155,9 @@ class Record(Result, Ancestry):
         return json_object(self.members)
 
     def members_around(self, result: Sequence[str]) -> list[str]:
-        """Return the members of the record, without encoding again the `result_members` that are written already."""
+        """Return `members`, given the `result_members`. The scenario is not encoded again either if it is a text."""
         scenario = self.scenario.text if isinstance(self.scenario, WrittenValues) else encode_json(self.scenario)
-        before = {"id": self.id, "origin": self.origin, "parent": self.parent}
-        after = {"novelty": self.novelty, "novel": self.novel, "search": self.search}
+        before, after = _values(self, _ANCESTRY), _values(self, ("novelty", "novel", "search"))
         return [*members_of(before), *result, *members_of(after), f'"scenario": {scenario}']
 
     @classmethod
@@ -175,12 +175,17 @@ class Record(Result, Ancestry):
 
 
 _ADAPTER: Final = TypeAdapter(Record)
-_NAMES: Final = tuple(one.name for one in fields(Record))
-_RESULT: Final = tuple(one.name for one in fields(Result))
+_ANCESTRY, _RESULT, _RECORD = (tuple(one.name for one in fields(kind)) for kind in (Ancestry, Result, Record))
+
+
+def _values(record: object, names: Iterable[str]) -> dict[str, Any]:
+    """Return fields of a record by their names in JSON. Those that are None are left out, but for the parent."""
+    values = {_KEYS.get(name, name): getattr(record, name) for name in names}
+    return {key: value for key, value in values.items() if value is not None or key == "parent"}
 
 
 def members_of(values: Mapping[str, Any]) -> list[str]:
-    """Return the members of a JSON object as texts: a name and a value each."""
+    """Return the members of a JSON object, each as a text."""
     return [f'"{name}": {encode_json(value)}' for name, value in values.items()]
 
 

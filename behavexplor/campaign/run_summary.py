@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from behavexplor.campaign.config import Budget, stored_config
-from behavexplor.campaign.confirmation import known, not_confirmed
+from behavexplor.campaign.confirmation import not_confirmed, read_confirmations
 from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.record import Record
@@ -105,7 +105,7 @@ def summarize(run: Path) -> RunSummary:
             found = found.after(record, resumed=True)
         begun, ended = begun_with(store) or Identity(), store.ended is not None
         beside = UniformRate.stored(store)
-    tried = known(run)
+    tried = read_confirmations(run)
     unsure = tuple(not_confirmed(tried))
     return RunSummary(
         env=config.env,

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from behavexplor.api.observers import PlainConsole
 from behavexplor.campaign.config import Budget
-from behavexplor.campaign.confirmation import known, not_confirmed
+from behavexplor.campaign.confirmation import not_confirmed, read_confirmations
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.run_summary import words_of_others_faults
 from behavexplor.campaign.store import Store
@@ -167,7 +167,7 @@ def _errors(progress: Progress, store: Store) -> list[str]:
         error = store.execution(first).record.error or {}
         text = f"The driver itself failed in {count}, first in {first}: {sentence(error.get('message', ''))}"
         lines.append(wrapped(text))
-    return lines + [wrapped(line) for line in not_confirmed(known(store.folder))]
+    return lines + [wrapped(line) for line in not_confirmed(read_confirmations(store.folder))]
 
 
 def _line_of(spec: str, width: int, progress: Progress) -> str:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import tyro
 
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.confirmation import can_be_confirmed, keep, known
+from behavexplor.campaign.confirmation import can_be_confirmed, keep, read_confirmations
 from behavexplor.campaign.judgment import confirmation, repeat_execution
 from behavexplor.campaign.provenance import DRIVING, Consent
 from behavexplor.campaign.record import Record
@@ -205,7 +205,7 @@ def _compare(execution: Execution, config: CampaignConfig, run: Path) -> int:
 
     A failure in one of highway-env's environments is also confirmed there, if that has not been tried.
     """
-    tried = known(run).get(execution.id)
+    tried = read_confirmations(run).get(execution.id)
     with start_executor(config.target, 1) as executor:
         repetition = repeat_execution(executor, execution)
         if tried is None and config.confirm and can_be_confirmed(execution.record):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from behavexplor.campaign.confirmation import known, not_confirmed
+from behavexplor.campaign.confirmation import not_confirmed, read_confirmations
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.grids import grid, plain_text
@@ -42,7 +42,7 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A failure could not be examined or confirmed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    unconfirmed = [wrapped(line) for line in not_confirmed(known(run))]
+    unconfirmed = [wrapped(line) for line in not_confirmed(read_confirmations(run))]
     say("\n".join([report(found), *unconfirmed]))
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:

@@ -48,9 +48,9 @@ class Trainee:
     scenarios: ScenarioVecEnv  # the environment that draws the scenarios
 
     def learn(self, seed: int, number: int, steps: int, rate: float, watch: BaseCallback) -> None:
-        """Train for one round of `steps` decisions at a learning rate.
+        """Train for a round, whose number is counted from 1, of `steps` decisions at a learning rate.
 
-        In the first round, a new critic learns alone before the policy does, for as many decisions.
+        In the first round, a new critic first learns alone for as many decisions. `seed` is that of the retraining.
 
         Raises:
             DivergedError: if the network has weights that are not finite numbers afterwards.
@@ -84,7 +84,7 @@ class Trainee:
         model.replay_buffer.reset()
         model._n_calls = 0  # noqa: SLF001 - when the target network is next updated
         count, model.learning_starts = model.learning_starts, 0
-        gradient_steps, model.gradient_steps = model.gradient_steps, 0
+        gradient_steps, model.gradient_steps = model.gradient_steps, 0  # nothing is learned meanwhile
         model.learn(max(count, model.batch_size), reset_num_timesteps=False)
         model.learning_starts, model.gradient_steps = count, gradient_steps
 
@@ -106,8 +106,8 @@ def given_file(policy: str) -> Path:
 def open_trainee(target: Target, seed: int, envs: int | None = None) -> Trainee:
     """Return a policy that can go on learning. Its environment draws from the logical scenario.
 
-    The seed is that of the weights that the file does not have. There are as many sub-environments as in the training
-    so far, or a usual number, unless one is given.
+    `seed` is for weights that the file lacks. `envs` is the number of sub-environments; by default, that of the
+    training so far, or a usual one.
 
     Raises:
         InputError: if the policy cannot go on learning, or not in this environment.
@@ -127,9 +127,9 @@ def _of_network(simulation: Simulation, env: str, path: Path, seed: int, envs: i
     model = new_model(TrainingConfig(seed=seed, envs=venv.num_envs, layers=layers), venv)
     load_layers(model, network.layers)
 
-    def write(path: Path) -> None:
-        write_network(path, trained_network(model.policy))
-        write_durably(path.with_suffix(OWN[0]), yaml.safe_dump({"training": {"env": env}}))
+    def write(file: Path) -> None:
+        write_network(file, trained_network(model.policy))
+        write_durably(file.with_suffix(OWN[0]), yaml.safe_dump({"training": {"env": env}}))
 
     return Trainee(model, venv, ".npz", _RATE, _entropy(model), True, write, scenarios)
 
@@ -151,10 +151,10 @@ def _of_model(simulation: Simulation, env: str, path: Path, seed: int, envs: int
     model = continued(archive, scenarios)
     settings = {"env": env, **_settings(simulation)}
 
-    def write(path: Path) -> None:
-        with new_file(path) as file:
-            model.save(file)
-        write_durably(path.with_suffix(".yaml"), yaml.safe_dump(settings, sort_keys=False))
+    def write(file: Path) -> None:
+        with new_file(file) as content:
+            model.save(content)
+        write_durably(file.with_suffix(".yaml"), yaml.safe_dump(settings, sort_keys=False))
 
     rate = learning_rate_of(archive) or _RATE
     return Trainee(model, scenarios, ".zip", rate, _entropy(model), False, write, scenarios)

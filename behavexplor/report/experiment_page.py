@@ -45,7 +45,10 @@ class Bars:
 def experiment_page(
     experiment: Experiment, summaries: Sequence[Summary], tables: Sequence[Table], curves: Sequence[Curve]
 ) -> str:
-    """Return the page in ASCII, with the `tables` and `curves` of the campaigns. Equal experiments give equal pages."""
+    """Return the page in ASCII. Equal experiments give equal pages.
+
+    `summaries` are those of the finished campaigns, `tables` and `curves` what `behavexplor.bench` makes of them.
+    """
     return rendered(
         "experiment.html.jinja",
         ("theme.js",),
@@ -66,21 +69,17 @@ def _figures(experiment: Experiment, curves: Sequence[Curve]) -> list[dict[str, 
     for curve in curves:
         place = f"{curve.env}, {curve.ads}" if experiment.has_several_ads else curve.env
         panels.setdefault(curve.figure, {}).setdefault(place, []).append(curve)
-    return [
-        {
-            "name": name,
-            "bars": [
-                bars(place, group, _marks([curve for one in places.values() for curve in one]))
-                for place, group in places.items()
-            ],
-            "charts": [drawn for place, group in places.items() if (drawn := _lines(place, group, styles))],
-        }
-        for name, places in panels.items()
-    ]
+    figures: list[dict[str, object]] = []
+    for name, groups in panels.items():
+        marks = _marks([curve for group in groups.values() for curve in group])
+        intervals = [bars(place, group, marks) for place, group in groups.items()]
+        charts = [drawn for place, group in groups.items() if (drawn := _lines(place, group, styles))]
+        figures.append({"name": name, "bars": intervals, "charts": charts})
+    return figures
 
 
 def _marks(curves: Sequence[Curve]) -> list[float]:
-    """Return the marks of one axis for the final counts of all environments."""
+    """Return the marks of an axis on which the final counts of all these curves have room."""
     values = [value for curve in curves for value in (*_interval(curve.found[-1]), *curve.ends)]
     return ticks(min(0.0, *values), max(1.0, *values))
 
@@ -90,17 +89,18 @@ def bars(title: str, curves: Sequence[Curve], marks: Sequence[float]) -> Bars:
     across = Scale(marks[0], marks[-1], LEFT, WIDTH - RIGHT)
     made = []
     for i, curve in enumerate(curves):
-        name, end = curve.method, curve.found[-1]
-        low, high = _interval(end)
-        text = f"{end.mean:.1f}" if math.isnan(end.low) else f"{end.mean:.1f} [{end.low:.1f}, {end.high:.1f}]"
-        places, dots = (across(end.mean), across(low), across(high)), tuple(map(across, sorted(set(curve.ends))))
-        made.append(Bar(name, TOP + LINE * (i + 0.5), *places, text, dots))
+        final = curve.found[-1]
+        low, high = _interval(final)
+        interval = "" if math.isnan(final.low) else f" [{low:.1f}, {high:.1f}]"
+        dots = tuple(across(end) for end in sorted(set(curve.ends)))
+        y, text = TOP + LINE * (i + 0.5), f"{final.mean:.1f}{interval}"
+        made.append(Bar(curve.method, y, across(final.mean), across(low), across(high), text, dots))
     height = TOP + LINE * len(curves) + BOTTOM
     return Bars(title, tuple(made), tuple((across(mark), f"{mark:g}") for mark in marks), height)
 
 
-def _interval(end: Estimate) -> tuple[float, float]:
-    return (end.mean, end.mean) if math.isnan(end.low) else (end.low, end.high)
+def _interval(count: Estimate) -> tuple[float, float]:
+    return (count.mean, count.mean) if math.isnan(count.low) else (count.low, count.high)
 
 
 def _lines(title: str, curves: Sequence[Curve], styles: Mapping[str, int]) -> Chart | None:

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from behavexplor.campaign.config import Budget, CampaignConfig, stored_config
-from behavexplor.campaign.confirmation import known as known_confirmations
-from behavexplor.campaign.confirmation import not_confirmed
+from behavexplor.campaign.confirmation import not_confirmed, read_confirmations
 from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.store import Execution, Store
@@ -166,7 +165,7 @@ def read_run(folder: Path) -> ReportedRun:
 
 def _confirmation(folder: Path) -> str:
     """Return what highway-env itself said of a run's failures, in words; empty if it was not asked."""
-    tried = known_confirmations(folder)
+    tried = read_confirmations(folder)
     if not tried:
         return ""
     unsure = not_confirmed(tried)

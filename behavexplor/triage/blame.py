@@ -32,11 +32,13 @@ Kind = Literal[
 class Blame:
     """The verdict on a collision."""
 
-    # `ego_cut_in`, `npc_rear_end` or `struck_stationary` as in `behavexplor.judge.fault.contact_fault`; otherwise
-    # `preventable` if there is a witness, `unpreventable` if none was found, or what that function says, `npc_wreck` or
-    # `other`, if the search was impossible because the environment cannot run in lock-step. In a highway-env
-    # environment, `standing_still_avoids_it` if all that avoid the crash fail otherwise, and one of them stands in the
-    # end; if none stands, what that function says.
+    # `ego_cut_in`, `npc_rear_end` or `struck_stationary` if the trace tells, as in
+    # `behavexplor.judge.fault.contact_fault`. Otherwise:
+    # - `preventable`: there is a witness. `unpreventable`: none was found.
+    # - `standing_still_avoids_it`: in a highway-env environment, all drivers that avoid the crash fail otherwise, and
+    #   one of them stands in the end.
+    # - `npc_wreck`, `other`: all such drivers fail otherwise and none stands, or nothing could be searched, because the
+    #   environment cannot run in lock-step.
     kind: Kind
     in_junction: bool  # whether the ego was inside a junction; False in highway-env, where it is not known
     # evasion that avoids the collision, or in a highway-env environment another driver that keeps all its requirements;
@@ -55,26 +57,27 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
 
     The ADS of the simulation is not used; the generator is for random evasions.
     """
-    quick, event = contact_fault(trace), violation_event(trace, ("collision",))
-    if quick is None or event is None or event.spec != R1:
+    by_trace, event = contact_fault(trace), violation_event(trace, ("collision",))
+    if by_trace is None or event is None or event.spec != R1:
         return None
-    if simulation.logical.has_original:
-        return _blame_in_reactive_traffic(quick, scenario, rng)
+    if simulation.logical.has_original:  # one of highway-env's own environments, whose vehicles react to the ego
+        return _blame_in_reactive_traffic(by_trace, scenario, rng)
     inside = in_junction(scripted(simulation.logical, "Blame").roadmap, trace)
-    if quick != "other":
-        return Blame(quick, inside)
+    if by_trace != "other":  # scripted vehicles do not crash, so none is a wreck
+        return Blame(by_trace, inside)
     witness, tried = find_witness(simulation, scenario, trace, event, rng)
     if witness is not None:
         return Blame("preventable", inside, witness, tried)
     return Blame("unpreventable" if tried else "other", inside, None, tried)
 
 
-def _blame_in_reactive_traffic(quick: Kind, scenario: Any, rng: np.random.Generator) -> Blame:
+def _blame_in_reactive_traffic(by_trace: Kind, scenario: Any, rng: np.random.Generator) -> Blame:
     """Return the verdict on a crash in a highway-env environment, see `behavexplor.triage.closed_loop`."""
-    if quick not in ("other", "npc_wreck"):
-        return Blame(quick, in_junction=False)
+    if by_trace not in ("other", "npc_wreck"):
+        return Blame(by_trace, in_junction=False)
     others = find_driver(scenario, rng)
-    return Blame(others.answer or quick, in_junction=False, witness=others.driver, tried=others.tried)
+    kind = by_trace if others.answer is None else others.answer
+    return Blame(kind, in_junction=False, witness=others.driver, tried=others.tried)
 
 
 def in_junction(roadmap: RoadMap, trace: Trace) -> bool:

@@ -10,7 +10,7 @@ import pytest
 
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.confirmation import FOLDER, OF_EACH_CLASS, difference, known
+from behavexplor.campaign.confirmation import FOLDER, OF_EACH_CLASS, difference, read_confirmations
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
@@ -28,7 +28,7 @@ def run(folder, config=IDLE, workers=0, resume=False, observe=lambda _: None):
     with opened(config, folder, workers, resume=resume) as ready:
         ready.campaign.run(lambda _: None)
         ready.campaign.confirm(observe)
-    return records(folder), known(folder)
+    return records(folder), read_confirmations(folder)
 
 
 def records(folder):
@@ -66,7 +66,7 @@ def test_an_interrupted_confirmation_goes_on(tmp_path, whole, monkeypatch):
 
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "a", observe=interrupt)
-    first = known(tmp_path / "a")
+    first = read_confirmations(tmp_path / "a")
     assert len(first) == 1
     original, executed = Simulation.run, []
     monkeypatch.setattr(Simulation, "run", lambda self, one: executed.append(one) or original(self, one))
@@ -79,7 +79,7 @@ def test_a_stopped_campaign_confirms_nothing_more(tmp_path):
         ready.campaign.run(lambda _: None)
         ready.campaign.confirm(lambda _: ready.campaign.stop())
         ready.campaign.confirm()
-    assert len(known(tmp_path / "a")) == 1
+    assert len(read_confirmations(tmp_path / "a")) == 1
 
 
 class Idler:
@@ -114,16 +114,16 @@ def test_a_disagreement_is_shown_as_an_error_of_this_package(tmp_path, workers, 
     assert main(["fuzz", *arguments, "--out", folder, "--unconfined"]) == OK
     words = "is an error of behavexplor and not of the driver: the compiled engine and highway-env disagree: the"
     said = capsys.readouterr()
-    assert f"Confirming {counted(len(known(tmp_path / 'run')), 'failure')} in highway-env" in said.err
+    assert f"Confirming {counted(len(read_confirmations(tmp_path / 'run')), 'failure')} in highway-env" in said.err
     assert words in " ".join(said.out.split())
-    assert {one.state for one in known(tmp_path / "run").values()} == {"disagrees"}
+    assert {one.state for one in read_confirmations(tmp_path / "run").values()} == {"disagrees"}
     assert all(record["violated"] != ["error"] for record, _ in records(tmp_path / "run"))
-    number = min(known(tmp_path / "run"))
+    number = min(read_confirmations(tmp_path / "run"))
     for path in (tmp_path / "run" / FOLDER).iterdir():
         path.unlink()
     main(["replay", folder, str(number), "--out", str(tmp_path / "gif"), "--unconfined"])
     assert words in " ".join(capsys.readouterr().err.split())
-    assert list(known(tmp_path / "run")) == [number]
+    assert list(read_confirmations(tmp_path / "run")) == [number]
     for command in ("status", "records", "report"):
         assert main([command, folder]) == OK
         shown = " ".join(capsys.readouterr().out.split())
@@ -148,8 +148,9 @@ def test_a_driver_that_changes_is_not_taken_for_an_error_of_the_engine(tmp_path,
         ready.campaign.run(lambda _: None)
         monkeypatch.setattr(Remembering, "choice", 4)
         ready.campaign.confirm()
-    assert [one.state for one in known(tmp_path).values()] == ["changes"]
-    assert "not repeatable: the driver or the environment goes on otherwise" in known(tmp_path)[0].said_of(0)
+    assert [one.state for one in read_confirmations(tmp_path).values()] == ["changes"]
+    said = read_confirmations(tmp_path)[0].said_of(0)
+    assert "not repeatable: the driver or the environment goes on otherwise" in said
 
 
 def test_failures_in_traffic_that_draws_elsewhere_are_said_to_be_not_repeatable(tmp_path, monkeypatch):
@@ -180,7 +181,7 @@ def test_what_cannot_be_executed_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(Simulation, "run", refuse)
     with pytest.raises(ExecutionError, match="A failure could not be confirmed: no more"):
         run(tmp_path / "a")
-    assert known(tmp_path / "a") == {}
+    assert read_confirmations(tmp_path / "a") == {}
 
 
 def test_differences_have_words(whole):

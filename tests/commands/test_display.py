@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from behavexplor.campaign.config import Budget
-from behavexplor.campaign.confirmation import FOLDER, Confirmation, keep, known
+from behavexplor.campaign.confirmation import FOLDER, Confirmation, keep, read_confirmations
 from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.commands.display import Display, summary
 from behavexplor.commands.wording import clock
@@ -134,7 +134,7 @@ def test_what_is_not_confirmed_is_said_to_be_an_error_of_this_package(store):  #
     keep(store.folder, 1, Confirmation("confirmed"))
     (store.folder / FOLDER / "000002.json").write_text("[" * 100_000)
     (store.folder / FOLDER / "000003.json").write_text('{"state": "sure"}')
-    assert list(known(store.folder)) == [0, 1]
+    assert list(read_confirmations(store.folder)) == [0, 1]
     failed = [execution(number, ["collision"], "R1/a") for number in range(3)]
     text = " ".join(summarized(store, *failed).split())
     assert (

@@ -44,7 +44,7 @@ nearest_speed = called_alone(lane_keeping.nearest_speed)
 keep_lane_and_speed = called_alone(lane_keeping.keep_lane_and_speed)
 lane_coordinates = called_alone(lane_coordinates)
 limit_commands = called_alone(_limit_commands)
-find_end = called_alone(step._find_end)
+find_end = called_alone(step._update_end)
 station = called_alone(step._station)
 
 LEFT, CHANGE = IntersectionLeftEnv(), LaneChangeEnv()

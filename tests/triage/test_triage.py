@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.confirmation import known
+from behavexplor.campaign.confirmation import read_confirmations
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, main
@@ -152,7 +152,7 @@ def test_no_finding_is_lost_with_a_confirmation_and_the_confirmation_is_made_up_
 
     folder = tmp_path / "run"
     fuzz(folder, "constant:IDLE", 4, "--env", "merge-v0")
-    confirmed = known(folder)
+    confirmed = read_confirmations(folder)
     assert confirmed
     shutil.rmtree(folder / "confirmations")
     arguments = ["triage", str(folder), "--workers", "0", "--quiet"]
@@ -162,9 +162,9 @@ def test_no_finding_is_lost_with_a_confirmation_and_the_confirmation_is_made_up_
     assert "A failure could not be examined or confirmed: no more" in capsys.readouterr().err
     findings = (folder / TRIAGE).read_bytes()
     assert [finding.id for finding in Triage.read(folder).findings] == [one.record.id for one in failed(folder)]
-    assert known(folder) == {}
+    assert read_confirmations(folder) == {}
     assert main(arguments) == OK
-    assert known(folder) == confirmed
+    assert read_confirmations(folder) == confirmed
     assert (folder / TRIAGE).read_bytes() == findings
 
 

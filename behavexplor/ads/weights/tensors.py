@@ -21,6 +21,11 @@ from behavexplor.data.untrusted import member, read_file
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 200_000_000  # greatest size of a file
+MAX_HEADER: Final = 5_000_000  # greatest size of the header of safetensors
+MAX_MEMBERS: Final = 20_000  # members of a file of torch, which has one for each tensor
+_MEMBER: Final = b"PK\x01\x02"  # begins the entry of a member
+
+# Types of numbers.
 _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
     {"Float": "<f4", "Double": "<f8", "Half": "<f2", "BFloat16": "<u2", "Long": "<i8", "Int": "<i4"}
     | {"Short": "<i2", "Char": "<i1", "Byte": "<u1", "Bool": "<u1"}
@@ -28,14 +33,15 @@ _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
 _OF_SAFETENSORS: Final[Mapping[str, str]] = MappingProxyType(
     {"F32": "Float", "F64": "Double", "F16": "Half", "BF16": "BFloat16"}
 )
-_INTEGERS: Final = re.compile(r"[IU]\d+|BOOL")  # types of safetensors
-MAX_HEADER: Final = 5_000_000  # greatest size of the header of safetensors
-MAX_MEMBERS: Final = 20_000  # members of a file of torch, which has one for each tensor
-_MEMBER: Final = b"PK\x01\x02"  # begins the entry of a member
-_OPTIMIZER: Final = re.compile(r"optim(?!al)")
+_INTEGERS: Final = re.compile(r"[IU]\d+|BOOL")  # those of safetensors
+_UNTYPED: Final = "Untyped"  # torch's storage of the other types, which are arguments of the tensor
+
+# Names of tensors.
+_OPTIMIZER: Final = re.compile(r"optim(?!al)")  # such as "optimizer" and "optim_state", but not "optimal_q"
 _WEIGHTS: Final = re.compile(r"(weight|bias)$")  # ends the names of numbers that a layer multiplies or adds
-_REBUILT: Final = re.compile(r"torch\.(?:_utils|_tensor)\._rebuild_(\w+)")  # calls that make tensors
-_UNTYPED: Final = "Untyped"  # storages of recent types, which stand beside them
+
+# How torch makes tensors: by calls of `_rebuild_...`.
+_REBUILT: Final = re.compile(r"torch\.(?:_utils|_tensor)\._rebuild_(\w+)")
 _PARAMETERS: Final = ("parameter", "parameter_with_state")
 _DENSE: Final = ("tensor", "tensor_v2", "tensor_v3")
 _OTHER_FORMS: Final[Mapping[str, str]] = MappingProxyType(
@@ -120,51 +126,51 @@ def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
 
 def _without_tensors(path: Path, content: Any, entries: list[tuple[str, Any]]) -> str:
     """Return a sentence on a file that has no tensors where a policy has them."""
-    modules = [one for one in (content, *(one for _, one in entries)) if isinstance(one, Inert)]
+    modules = [value for value in (content, *(value for _, value in entries)) if isinstance(value, Inert)]
     whole = next((one.name for one in modules if isinstance(one.state, dict) and "_parameters" in one.state), None)
     if whole is not None:
         return f"{path} holds a whole pickled module ({whole}), whose code is not run: {SAVE_WEIGHTS}"
     return f"{path} holds no tensors of a network: {SAVE_WEIGHTS}"
 
 
-def _entries(content: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
+def _entries(content: Any) -> Iterator[tuple[str, Any]]:
     """Yield what the dictionaries of a file hold, except optimizers, by dotted name."""
-    count, waiting = 0, [(path, content)]
+    count = 0
+    waiting: list[tuple[tuple[str, ...], Any]] = [((), content)]
     while waiting:
-        path, value = waiting.pop()
+        keys, value = waiting.pop()
         count += 1
-        if count > MAX_PARTS or len(path) > MAX_DEPTH:
+        if count > MAX_PARTS or len(keys) > MAX_DEPTH:
             raise ValueError("its dictionaries are too large")
         mapping = as_mapping(value)
         if mapping is None:
-            yield ".".join(path), value
+            yield ".".join(keys), value
             continue
-        inner = [
-            ((*path, key), part) for key, part in mapping.items() if isinstance(key, str) and not _OPTIMIZER.search(key)
-        ]
-        waiting += reversed(inner)
+        named = [(key, part) for key, part in mapping.items() if isinstance(key, str) and not _OPTIMIZER.search(key)]
+        waiting += [((*keys, key), part) for key, part in reversed(named)]  # the first one is taken next
 
 
 def _tensors(path: Path, entries: Iterable[tuple[str, Any]]) -> Iterator[tuple[str, Inert]]:
-    """Yield the dense tensors among entries, by name. One of another form is refused, also in a list of an entry."""
+    """Yield the dense tensors among entries, by name. Any other tensor is refused, also one in a list of an entry."""
     for name, value in entries:
-        for one in value if isinstance(value, list | tuple) else (value,):
-            tensor, form = _form(one)
-            if form is not None and form not in _DENSE:
-                raise _unread(path, name, _OTHER_FORMS.get(form, f"of another form ({form})"))
-            if one is value and form is not None:
+        is_list = isinstance(value, list | tuple)
+        for one in value if is_list else (value,):
+            tensor, maker = _unwrapped(one)
+            if maker is not None and maker not in _DENSE:
+                raise _unread(path, name, _OTHER_FORMS.get(maker, f"of another form ({maker})"))
+            if maker is not None and not is_list:  # those in a list belong to no layer
                 yield name, tensor
 
 
-def _form(value: Any) -> tuple[Any, str | None]:
-    """Return a tensor without the parameter that it may be in, and the call that makes it; None if it is no tensor."""
-    form = None
-    while isinstance(value, Inert) and (found := _REBUILT.fullmatch(value.name)):
-        form = found[1]
-        if form not in _PARAMETERS:
+def _unwrapped(value: Any) -> tuple[Any, str | None]:
+    """Return a tensor without the parameters that it is in, and which `_rebuild_...` makes it; None: no tensor."""
+    maker = None
+    while isinstance(value, Inert) and (call := _REBUILT.fullmatch(value.name)):
+        maker = call[1]
+        if maker not in _PARAMETERS:
             break
         value = value.arguments[0]
-    return value, form
+    return value, maker
 
 
 def _unread(path: Path, name: str, form: str) -> InputError:
@@ -184,27 +190,31 @@ class _Storages:
 
     def tensor(self, path: Path, name: str, made: Inert) -> Array:
         """Return the array of a tensor, which shares the memory of its numbers."""
-        storage, offset, shape, strides = made.arguments[:4]
+        storage, offset, shape, strides, *others = made.arguments
         _, kind, key, *_ = storage
         if not (isinstance(kind, Name) and isinstance(key, str)):
             raise ValueError("a tensor in it has no numbers")  # noqa: TRY004 - it comes from a file
-        of = kind.name.rpartition(".")[2].removesuffix("Storage")
-        typed = made.arguments[6:7]
-        if of not in _DTYPES or (_WEIGHTS.search(name) and np.dtype(_DTYPES[of]).kind != "f" and of != "BFloat16"):
-            raise _unread(path, name, f"of the type {typed[0].name if of == _UNTYPED else of}")
+        number = kind.name.rpartition(".")[2].removesuffix("Storage")
+        if number not in _DTYPES or (_WEIGHTS.search(name) and not _is_float(number)):
+            # after whether it requires a gradient and its hooks, torch.dtype
+            raise _unread(path, name, f"of the type {others[2].name if number == _UNTYPED else number}")
         if key not in self._read:
             self._read[key] = member(self._file, f"{self._root}data/{key}")
-        numbers = np.frombuffer(self._read[key], _DTYPES[of])
+        numbers = np.frombuffer(self._read[key], _DTYPES[number])
         if not all(type(one) is int and one >= 0 for one in (offset, *shape, *strides)):
             raise ValueError("a tensor in it has a wrong shape")
         last = offset + sum((count - 1) * stride for count, stride in zip(shape, strides, strict=True))
-        if prod(shape) and (last >= len(numbers) or prod(shape) > len(numbers)):
-            raise ValueError("a tensor in it has more numbers than the file")
         if not prod(shape):
             return np.zeros(shape, np.float32)
+        if max(last + 1, prod(shape)) > len(numbers):
+            raise ValueError("a tensor in it has more numbers than the file")
         steps = [stride * numbers.itemsize for stride in strides]
         found = np.lib.stride_tricks.as_strided(numbers[offset:], shape, steps, writeable=False)
-        return _widened(found) if of == "BFloat16" else found
+        return _widened(found) if number == "BFloat16" else found
+
+
+def _is_float(number: str) -> bool:
+    return number == "BFloat16" or np.dtype(_DTYPES[number]).kind == "f"
 
 
 def _widened(halves: Array) -> Array:
@@ -228,7 +238,7 @@ def _of_safetensors(path: Path, data: bytes) -> Mapping[str, Array]:
 
 
 def _safe_arrays(path: Path, tensors: Iterable[tuple[str, Mapping[str, Any]]]) -> Iterator[tuple[str, Array]]:
-    """Yield the tensors of floats by name; those of other types are refused, but for whole numbers beside a network."""
+    """Yield the tensors of floats by name. Integers that no layer needs are left out, and all others are refused."""
     for name, one in tensors:
         kind = _OF_SAFETENSORS.get(one["dtype"])
         if kind is None and (_WEIGHTS.search(name) or not _INTEGERS.fullmatch(one["dtype"])):

@@ -11,6 +11,8 @@ from behavexplor.jit import kernel_inner
 
 Frame: TypeAlias = np.record
 
+NO_MARGIN: Final = 0.0  # [m]
+
 FRAME: Final = record_type(
     n_things=np.int64,  # vehicles and obstacles; 0 if the slot took no action
     ego=np.int64,  # the ego's place among them
@@ -51,20 +53,24 @@ def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
 
 @kernel_inner
 def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> None:
-    """Write the present state of an episode to `frame` and `things`, or only the ego's if there is one of `things`.
+    """Write the present state of an episode to `frame` and `things`, shape (N,), both changed in place.
 
-    The stations and offsets in `scene.scratch` must be those of the present positions.
+    If `things` has one row only, the ego is all that is written. The stations and offsets in `scene.scratch` must be
+    those of the present positions.
     """
     episode = scene.episode
-    first, count = (episode.ego, 1) if len(things) == 1 else (0, episode.n_vehicles + episode.n_obstacles)
-    frame.n_things, frame.ego = count, episode.ego - first
+    first, count = 0, episode.n_vehicles + episode.n_obstacles
+    if len(things) == 1:
+        first, count = episode.ego, 1
+    frame.n_things, frame.ego = count, episode.ego - first  # the ego's place among what is written
+    lane = network.lanes[scene.vehicles[episode.ego].lane]
     station, offset = scene.scratch.stations[episode.ego], scene.scratch.offsets[episode.ego]
-    frame.is_on_road = is_on_lane(network.lanes[scene.vehicles[episode.ego].lane], station, offset, 0.0)
+    frame.is_on_road = is_on_lane(lane, station, offset, NO_MARGIN)
     for k in range(count):
         i = first + k
         thing, vehicle = things[k], scene.vehicles[i]
         thing.number, thing.crashed = vehicle.number, vehicle.crashed
         thing.x, thing.y, thing.heading, thing.speed = vehicle.x, vehicle.y, vehicle.heading, vehicle.speed
         thing.lane = thing.target_lane = NO_LANE
-        if i < episode.n_vehicles:
+        if i < episode.n_vehicles:  # obstacles come after them
             thing.lane, thing.target_lane = vehicle.lane, vehicle.target_lane

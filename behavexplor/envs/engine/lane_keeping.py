@@ -4,7 +4,7 @@ Ported from `ControlledVehicle`, `MDPVehicle` and `LinearVehicle`.
 """
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
@@ -22,7 +22,7 @@ from behavexplor.envs.engine.lane_geometry import (
 )
 from behavexplor.envs.engine.lane_network import Lane, Network
 from behavexplor.envs.engine.state import SAME_NUMBER, Records, Traits, Vehicle
-from behavexplor.jit import kernel_inner
+from behavexplor.jit import int64, kernel_inner
 
 LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER = range(len(MANEUVERS))
 
@@ -32,8 +32,7 @@ KP_LATERAL: Final = float(ControlledVehicle.KP_LATERAL)  # [1/s]
 PURSUIT_TIME: Final = float(ControlledVehicle.TAU_PURSUIT)  # [s]
 MAX_STEERING: Final = float(ControlledVehicle.MAX_STEERING_ANGLE)  # [rad]
 SLOWEST: Final = 1e-2  # least speed in a denominator [m/s]
-# numba would compile a function once more for a constant of Python's own type
-_SAME_NUMBER: Any = np.int64(SAME_NUMBER)
+_SAME_NUMBER: Final = int64(SAME_NUMBER)
 
 
 @kernel_inner

@@ -16,23 +16,20 @@ distribution in `ziggurat.npz` are those of numpy's `ziggurat_constants.h`, as n
 
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Floats
-from behavexplor.jit import kernel_inner
+from behavexplor.jit import int64, kernel_inner
 
 Words = NDArray[np.uint64]
 
 N_WORDS = 8
 HIGH, LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF, NEXT_GIVEN, N_GIVEN = range(N_WORDS)
 
-# For a plain Python constant, numba would compile the called function once more.
-TWO: Any = np.int64(2)
-THREE: Any = np.int64(3)
-FOUR: Any = np.int64(4)
+TWO, THREE, FOUR = int64(2), int64(3), int64(4)
 
 _MULTIPLIER_HIGH: Final = np.uint64(0x2360ED051FC65DA4)
 _MULTIPLIER_LOW: Final = np.uint64(0x4385DF649FCCF645)

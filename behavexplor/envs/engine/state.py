@@ -67,8 +67,8 @@ TRAITS: Final = record_type(
     time_wanted=np.float64,  # [s]
     gap_divisor=np.float64,  # 2 sqrt(-comfort acceleration x comfort braking) [m/s2]
     delta=np.float64,  # exponent of the speed
-    low_delta=np.float64,  # range from which it is drawn: DELTA_RANGE
-    high_delta=np.float64,
+    low_delta=np.float64,  # least value of the range from which it is drawn: DELTA_RANGE
+    high_delta=np.float64,  # greatest one
     politeness=np.float64,
     min_gain=np.float64,  # LANE_CHANGE_MIN_ACC_GAIN [m/s2]
     max_braking=np.float64,  # LANE_CHANGE_MAX_BRAKING_IMPOSED [m/s2]
@@ -95,9 +95,9 @@ EPISODE: Final = record_type(
     n_side_lanes=np.int64,  # of the ego's road when it was first observed
 )
 
-ROUTE_STEP: Final = record_type(road=np.int64, number=np.int64)
+ROUTE_STEP: Final = record_type(road=np.int64, number=np.int64)  # a road, and the lane on it or SAME_NUMBER
 
-ON_LANE: Final = record_type(vehicle=np.int64, station=np.float64)
+ON_LANE: Final = record_type(vehicle=np.int64, station=np.float64)  # a vehicle's place and its station [m]
 
 
 class Slots(NamedTuple):
@@ -137,11 +137,11 @@ class Scene(NamedTuple):
     scratch: Scratch
 
 
-N_PREDICTIONS: Final = 11
+N_PREDICTIONS: Final = 11  # times at which `RegulatedRoad` predicts positions
 
 
 def make_slots(n_slots: int, n_places: int, n_steps: int) -> Slots:
-    """Create slots without vehicles."""
+    """Create slots without vehicles, with room for some vehicles and obstacles and for the steps of a route."""
     return Slots(
         episodes=np.zeros(n_slots, EPISODE),
         vehicles=np.zeros((n_slots, n_places), VEHICLE),

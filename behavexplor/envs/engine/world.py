@@ -5,7 +5,7 @@ Vehicles are placed as the constructors of highway-env's vehicle classes do, wit
 
 import math
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from highway_env import utils
@@ -38,7 +38,7 @@ from behavexplor.envs.engine.state import (
 from behavexplor.envs.engine.vehicle_parameters import kind_of, traits_of
 from behavexplor.envs.source_gate import replaced
 from behavexplor.errors import InputError
-from behavexplor.jit import kernel_inner
+from behavexplor.jit import int64, kernel_inner
 
 Rules: TypeAlias = np.record
 
@@ -50,10 +50,9 @@ RULES: Final = record_type(
     policy_period=np.float64,  # duration of a decision [s]
     regulation_period=np.int64,  # frames from one check of the right of way to the next; 0: none
 )
-# Numba would compile a function once more for each constant of Python's own type.
-FIRST_LANE: Any = np.int64(0)
-AS_EGO: Any = np.int64(EGO)
-AS_OTHER: Any = np.int64(OTHER)
+FIRST_LANE: Final = int64(0)
+AS_EGO: Final = int64(EGO)
+AS_OTHER: Final = int64(OTHER)
 _GAINS: tuple[tuple[float, ...], ...] = tuple(
     tuple(map(float, gains)) for gains in (*LinearVehicle.ACCELERATION_RANGE, *LinearVehicle.STEERING_RANGE)
 )

@@ -43,8 +43,9 @@ def step(
     If the record of an episode has no room for another decision, nothing is changed, and -1 is returned.
 
     Actions, shape (B, A), are only recorded. Commands are acceleration [m/s2] and steering [rad], shape (B, 2); for
-    meta-actions, the first column is the code of the maneuver. `ends` says whether each episode is terminated and
-    truncated, shape (2, B). If `n_frames` are fewer than a decision has, the next call with the same actions goes on.
+    meta-actions, the first column is the code of the maneuver. `active`, shape (B,), says which slots are simulated,
+    and `ends`, shape (2, B) and all False at first, which episodes are now terminated and truncated. At most `n_frames`
+    are simulated; if a decision has more, the next call with the same actions goes on.
     """
     if not _have_room(world, slots, actions, active):
         return -1
@@ -61,11 +62,14 @@ def step(
 
 @kernel_inner
 def _decide(world: ScriptedWorld, slots: ScriptedSlots, b: int, action: Floats, command: Floats, n_frames: int) -> None:
-    """Simulate slot b; the arguments are those of `step`."""
+    """Record the action of slot b, simulate its decision, and compute what is rewarded.
+
+    `action` and `command` are rows of those of `step`.
+    """
     run, poses, rules = slots.runs[b], slots.poses[b], world.rules[0]
     vehicles, traits, n_npcs = slots.state.vehicles[b], slots.state.traits[b], slots.state.episodes[b].n_vehicles - 1
     ego, route, first = vehicles[0], slots.state.routes[b, 0], run.frame
-    decided = first // rules.substeps * rules.substeps
+    decided = first // rules.substeps * rules.substeps  # before `first` if the last call ended within the decision
     for k in range(len(action)):  # numba would make an array to copy a row
         slots.actions[b, decided // rules.substeps, k] = action[k]
     if not rules.is_meta:
@@ -80,7 +84,7 @@ def _decide(world: ScriptedWorld, slots: ScriptedSlots, b: int, action: Floats, 
             run.line_frame = run.frame
         time = run.frame / rules.frequency
         move_npcs(world.npc_routes, vehicles, slots.scripts[b], slots.phases[b], n_npcs, time)
-        _find_end(rules, run, poses[run.frame])
+        _update_end(rules, run, poses[run.frame])
         if first_touched(vehicles, traits, 0, n_npcs) >= 0:
             run.end = COLLISION
     _appraise(world.ego_route, rules, run, poses, decided)
@@ -91,12 +95,14 @@ def _decide(world: ScriptedWorld, slots: ScriptedSlots, b: int, action: Floats, 
 def _have_room(world: ScriptedWorld, slots: ScriptedSlots, actions: Floats, active: Bools) -> bool:
     """Return whether the slots have room for another decision of the active episodes."""
     rules, (n_decisions, n_values) = world.rules[0], slots.actions.shape[1:]
+    if rules.max_frames >= slots.poses.shape[1] or actions.shape[1] > n_values:
+        return False
     for b in range(len(active)):
         frame, n_npcs = slots.runs[b].frame, slots.state.episodes[b].n_vehicles - 1
-        goes_on = 0 <= frame < rules.max_frames and frame // rules.substeps < n_decisions
-        if active[b] and not (goes_on and 0 <= n_npcs <= slots.scripts.shape[1]):
+        is_within = 0 <= frame < rules.max_frames and frame // rules.substeps < n_decisions
+        if active[b] and not (is_within and 0 <= n_npcs <= slots.scripts.shape[1]):
             return False
-    return bool(rules.max_frames <= slots.poses.shape[1] - 1 and actions.shape[1] <= n_values)
+    return True
 
 
 @kernel_inner
@@ -113,8 +119,8 @@ def _drive(network: Network, rules: ScriptedRules, ego: Vehicle, route: Records,
 
 
 @kernel_inner
-def _find_end(rules: ScriptedRules, run: Run, pose: Pose) -> None:
-    """Note how long the ego has stood, and any end of the episode but a collision: `DrivingEnv._find_end`."""
+def _update_end(rules: ScriptedRules, run: Run, pose: Pose) -> None:
+    """Note how long the ego has stood, and any end of the episode but a collision: `PlainSimulation._find_end`."""
     run.standing = run.standing + 1 if math.hypot(pose.vx, pose.vy) < rules.standstill_speed else 0
     dx, dy = pose.x - rules.destination_x, pose.y - rules.destination_y
     if math.hypot(dx, dy) <= rules.arrival_distance:
@@ -138,7 +144,7 @@ def first_touched(vehicles: Records, traits: Records, first: int, n_npcs: int) -
         if abs(dx) > reach or abs(dy) > reach or math.hypot(dx, dy) > reach:
             continue
         box = corners(ego.x, ego.y, ego.cos, ego.sin, own.length, own.width)
-        cos, sin = math.cos(npc.heading), math.sin(npc.heading)
+        cos, sin = math.cos(npc.heading), math.sin(npc.heading)  # `move_npcs` does not update those of the NPC
         if boxes_touch(box, corners(npc.x, npc.y, cos, sin, size.length, size.width)):
             return i
     return -1
@@ -146,7 +152,7 @@ def first_touched(vehicles: Records, traits: Records, first: int, n_npcs: int) -
 
 @kernel_inner
 def _appraise(ego_route: Records, rules: ScriptedRules, run: Run, poses: Records, decided: int) -> None:
-    """Compute what is rewarded of the latest decision but rear-end collisions: `Recorder.reward_terms`."""
+    """Compute progress, mean acceleration and first touch of a line in the latest decision: `Recorder.reward_terms`."""
     before, now = poses[decided], poses[run.frame]
     elapsed = run.frame / rules.frequency - decided / rules.frequency
     run.mean_acceleration = (math.hypot(now.vx, now.vy) - math.hypot(before.vx, before.vy)) / elapsed
