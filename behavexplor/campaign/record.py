@@ -30,18 +30,18 @@ class WrittenValues(Mapping[str, Any]):
         self.text = text
 
     @cached_property
-    def _values(self) -> dict[str, Any]:
+    def _decoded(self) -> dict[str, Any]:
         values: dict[str, Any] = json.loads(self.text)
         return values
 
     def __getitem__(self, name: str) -> Any:
-        return self._values[name]
+        return self._decoded[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
+        return iter(self._decoded)
 
     def __len__(self) -> int:
-        return len(self._values)
+        return len(self._decoded)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +109,7 @@ class Result:
     @property
     def result_members(self) -> list[str]:
         """The members of a record that tell the result."""
-        return members_of(_values(self, _RESULT))
+        return members_of(_json_values(self, _RESULT))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +143,7 @@ class Record(Result, Ancestry):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record as JSON values, in a fixed order."""
-        return _values(self, _RECORD) | {"violated": list(self.violated), "scenario": dict(self.scenario)}
+        return _json_values(self, _RECORD) | {"violated": list(self.violated), "scenario": dict(self.scenario)}
 
     @property
     def members(self) -> list[str]:
@@ -155,9 +155,9 @@ class Record(Result, Ancestry):
         return json_object(self.members)
 
     def members_around(self, result: Sequence[str]) -> list[str]:
-        """Return `members`, given the `result_members`. The scenario is not encoded again either if it is a text."""
+        """Return `members`, with these as those of the result. A scenario of `WrittenValues` is taken as written."""
         scenario = self.scenario.text if isinstance(self.scenario, WrittenValues) else encode_json(self.scenario)
-        before, after = _values(self, _ANCESTRY), _values(self, ("novelty", "novel", "search"))
+        before, after = _json_values(self, _ANCESTRY), _json_values(self, _SEARCH)
         return [*members_of(before), *result, *members_of(after), f'"scenario": {scenario}']
 
     @classmethod
@@ -176,9 +176,10 @@ class Record(Result, Ancestry):
 
 _ADAPTER: Final = TypeAdapter(Record)
 _ANCESTRY, _RESULT, _RECORD = (tuple(one.name for one in fields(kind)) for kind in (Ancestry, Result, Record))
+_SEARCH: Final = tuple(name for name in _RECORD if name not in (*_ANCESTRY, *_RESULT, "scenario"))
 
 
-def _values(record: object, names: Iterable[str]) -> dict[str, Any]:
+def _json_values(record: object, names: Iterable[str]) -> dict[str, Any]:
     """Return fields of a record by their names in JSON. Those that are None are left out, but for the parent."""
     values = {_KEYS.get(name, name): getattr(record, name) for name in names}
     return {key: value for key, value in values.items() if value is not None or key == "parent"}

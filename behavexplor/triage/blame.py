@@ -34,11 +34,12 @@ class Blame:
 
     # `ego_cut_in`, `npc_rear_end` or `struck_stationary` if the trace tells, as in
     # `behavexplor.judge.fault.contact_fault`. Otherwise:
-    # - `preventable`: there is a witness. `unpreventable`: none was found.
-    # - `standing_still_avoids_it`: in a highway-env environment, all drivers that avoid the crash fail otherwise, and
-    #   one of them stands in the end.
-    # - `npc_wreck`, `other`: all such drivers fail otherwise and none stands, or nothing could be searched, because the
-    #   environment cannot run in lock-step.
+    # - `preventable`: there is a witness.
+    # - `unpreventable`: nothing that was tried avoids the collision.
+    # - `standing_still_avoids_it`: in a highway-env environment, all drivers that avoid it fail otherwise, and one of
+    #   them stands in the end.
+    # - `npc_wreck`, `other`: the same, but none of them stands; or nothing could be tried, because the environment
+    #   cannot run in lock-step.
     kind: Kind
     in_junction: bool  # whether the ego was inside a junction; False in highway-env, where it is not known
     # evasion that avoids the collision, or in a highway-env environment another driver that keeps all its requirements;
@@ -76,7 +77,7 @@ def _blame_in_reactive_traffic(by_trace: Kind, scenario: Any, rng: np.random.Gen
     if by_trace not in ("other", "npc_wreck"):
         return Blame(by_trace, in_junction=False)
     others = find_driver(scenario, rng)
-    kind = by_trace if others.answer is None else others.answer
+    kind = by_trace if others.answer is None else others.answer  # None: they do not decide it
     return Blame(kind, in_junction=False, witness=others.driver, tried=others.tried)
 
 

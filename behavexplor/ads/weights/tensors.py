@@ -196,8 +196,8 @@ class _Storages:
             raise ValueError("a tensor in it has no numbers")  # noqa: TRY004 - it comes from a file
         number = kind.name.rpartition(".")[2].removesuffix("Storage")
         if number not in _DTYPES or (_WEIGHTS.search(name) and not _is_float(number)):
-            # after whether it requires a gradient and its hooks, torch.dtype
-            raise _unread(path, name, f"of the type {others[2].name if number == _UNTYPED else number}")
+            type_ = others[2].name if number == _UNTYPED else number  # others: requires_grad, hooks, dtype
+            raise _unread(path, name, f"of the type {type_}")
         if key not in self._read:
             self._read[key] = member(self._file, f"{self._root}data/{key}")
         numbers = np.frombuffer(self._read[key], _DTYPES[number])
@@ -206,7 +206,7 @@ class _Storages:
         last = offset + sum((count - 1) * stride for count, stride in zip(shape, strides, strict=True))
         if not prod(shape):
             return np.zeros(shape, np.float32)
-        if max(last + 1, prod(shape)) > len(numbers):
+        if max(last + 1, prod(shape)) > len(numbers):  # strides of 0 would repeat numbers
             raise ValueError("a tensor in it has more numbers than the file")
         steps = [stride * numbers.itemsize for stride in strides]
         found = np.lib.stride_tricks.as_strided(numbers[offset:], shape, steps, writeable=False)

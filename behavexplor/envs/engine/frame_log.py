@@ -59,6 +59,7 @@ def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> 
     those of the present positions.
     """
     episode = scene.episode
+    # `scene.vehicles[first : first + count]` is what is written
     first, count = 0, episode.n_vehicles + episode.n_obstacles
     if len(things) == 1:
         first, count = episode.ego, 1
