@@ -321,9 +321,12 @@ def test_compiling_is_announced_once_and_only_ours(caplog):
 @pytest.mark.parametrize("collects", [True, False])
 def test_garbage_is_not_collected_while_compiling_and_then_as_before(collects):
     listener, before = compiled._Compilation(), gc.isenabled()
-    outer, inner = compiling("elsewhere.outer"), compiling("elsewhere.inner")
+    outer, inner = compiling("behavexplor.data.npc_motion"), compiling("elsewhere.inner")
     try:
         (gc.enable if collects else gc.disable)()
+        listener.on_start(inner)
+        assert gc.isenabled() == collects  # others compile as they like
+        listener.on_end(inner)
         listener.on_start(outer)
         listener.on_start(inner)
         listener.on_end(inner)

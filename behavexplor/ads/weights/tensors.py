@@ -194,13 +194,13 @@ class _Storages:
         _, kind, key, *_ = storage
         if not (isinstance(kind, Name) and isinstance(key, str)):
             raise ValueError("a tensor in it has no numbers")  # noqa: TRY004 - it comes from a file
-        number = kind.name.rpartition(".")[2].removesuffix("Storage")
-        if number not in _DTYPES or (_WEIGHTS.search(name) and not _is_float(number)):
-            type_ = others[2].name if number == _UNTYPED else number  # others: requires_grad, hooks, dtype
-            raise _unread(path, name, f"of the type {type_}")
+        storage_type = kind.name.rpartition(".")[2].removesuffix("Storage")
+        if storage_type not in _DTYPES or (_WEIGHTS.search(name) and not _is_float(storage_type)):
+            dtype = others[2].name if storage_type == _UNTYPED else storage_type  # others: requires_grad, hooks, dtype
+            raise _unread(path, name, f"of the type {dtype}")
         if key not in self._read:
             self._read[key] = member(self._file, f"{self._root}data/{key}")
-        numbers = np.frombuffer(self._read[key], _DTYPES[number])
+        numbers = np.frombuffer(self._read[key], _DTYPES[storage_type])
         if not all(type(one) is int and one >= 0 for one in (offset, *shape, *strides)):
             raise ValueError("a tensor in it has a wrong shape")
         last = offset + sum((count - 1) * stride for count, stride in zip(shape, strides, strict=True))
@@ -210,11 +210,11 @@ class _Storages:
             raise ValueError("a tensor in it has more numbers than the file")
         steps = [stride * numbers.itemsize for stride in strides]
         found = np.lib.stride_tricks.as_strided(numbers[offset:], shape, steps, writeable=False)
-        return _widened(found) if number == "BFloat16" else found
+        return _widened(found) if storage_type == "BFloat16" else found
 
 
-def _is_float(number: str) -> bool:
-    return number == "BFloat16" or np.dtype(_DTYPES[number]).kind == "f"
+def _is_float(storage_type: str) -> bool:
+    return storage_type == "BFloat16" or np.dtype(_DTYPES[storage_type]).kind == "f"
 
 
 def _widened(halves: Array) -> Array:
