@@ -65,13 +65,12 @@ def export(
     try:
         chosen = tuple(dict.fromkeys(numbers)) or tuple(record.id for record in store.records() if record.failed)
         config = stored_config(run).says if format == "csv" else _accepted(run, trust)
-        with _new_files(out) as made:
-            scenes = _Scenes(
-                run, config, made, out, is_ego_free=ego == "free", as_routes=npcs == "routes", is_for_carla=is_for_carla
-            )
+        with _new_files(out) as draft:
+            free, routes = ego == "free", npcs == "routes"
+            scenes = _Scenes(run, config, draft, out, is_ego_free=free, as_routes=routes, is_for_carla=is_for_carla)
             for execution in map(store.execution, chosen):
                 if format == "csv":
-                    write_table(execution.scenario, execution.load_trace(), made / f"{execution.id:06d}.csv")
+                    write_table(execution.scenario, execution.load_trace(), draft / f"{execution.id:06d}.csv")
                 else:
                     scenes.write(execution)
     except OSError as error:
@@ -86,7 +85,7 @@ def export(
 
 @contextmanager
 def _new_files(out: Path) -> Iterator[Path]:
-    """Give a folder for files, and move them to another one, or none if another file has the name of one of them."""
+    """Yield an empty folder. Its files are moved to `out`, or none of them if `out` has a different file of a name."""
     with TemporaryDirectory(prefix=".export-", dir=folder_in(out)) as folder:
         yield Path(folder)
         files = {file: out / file.name for file in sorted(Path(folder).iterdir())}
@@ -109,22 +108,22 @@ _EARLY: Final = "; highway-env may declare it before the boxes touch, and then t
 
 
 class _Scenes:
-    """The scenes of an export, in the folder `made` and to be moved to `out`. Those on the same road share its file."""
+    """The scenes of an export, written to `draft` and moved to `out` later. Those on the same road share its file."""
 
     def __init__(
         self,
         run: Path,
         config: CampaignConfig,
-        made: Path,
+        draft: Path,
         out: Path,
         *,
         is_ego_free: bool,
         as_routes: bool,
-        is_for_carla: bool = False,
+        is_for_carla: bool,
     ) -> None:
         self._config = config
         self._date = datetime.fromtimestamp(int((run / CONFIG).stat().st_mtime), UTC)
-        self._made, self._out = made, out
+        self._draft, self._out = draft, out
         self._is_ego_free = is_ego_free
         self._as_routes = as_routes
         self._is_for_carla = is_for_carla
@@ -137,15 +136,15 @@ class _Scenes:
 
         scenario, trace = execution.scenario, execution.load_trace()
         plan, logical = road_of(scenario, self._config.env, self._config.env_config or {})
-        follows_script = not logical.has_original
-        if self._is_ego_free and not follows_script:
+        is_reactive = logical.has_original
+        if self._is_ego_free and is_reactive:
             raise InputError(
                 f"The vehicles of {self._config.env} react to the ego, and a scene has only what they did with the "
                 "recorded one: --ego free is for the environments with scripted vehicles"
             )
         record = execution.record
         goes_on = trace.duration == 0 or self._is_ego_free
-        early = _EARLY if logical.has_original and record.end == "collision" else ""
+        early = _EARLY if is_reactive and record.end == "collision" else ""
         ended = outcome(record.violated, record.end)
         is_motionless = trace.duration == 0 and not self._is_ego_free
         self.motionless += is_motionless
@@ -153,21 +152,21 @@ class _Scenes:
         scene = SceneFile(
             title=f"Execution {execution.id} of {self._config.env}: it {ended}{at_once}{early}",
             environment=self._config.env,
-            env_config=(follows_script and self._config.env_config) or {},
+            env_config={} if is_reactive else self._config.env_config or {},
             road_file=self._road_file(plan, execution.id),
             movers=movers_of(scenario, trace, logical, is_ego_free=self._is_ego_free),
             is_ego_free=self._is_ego_free,
             destination=trace.destination,
-            stops_there=follows_script,
+            stops_there=not is_reactive,
             time_limit=EPISODE_TIME if goes_on else trace.duration,
-            scenario=None if follows_script else scenario,
+            scenario=scenario if is_reactive else None,
         )
         if self._is_for_carla and any(mover.is_gone or mover.time[0] > 0 for mover in scene.movers):
             raise InputError(
                 f"In execution {execution.id}, a vehicle appears or leaves, which CARLA's ScenarioRunner cannot play: "
                 "give the numbers of other executions"
             )
-        path, dialect = self._made / f"{execution.id:06d}.xosc", CARLA if self._is_for_carla else STANDARD
+        path, dialect = self._draft / f"{execution.id:06d}.xosc", CARLA if self._is_for_carla else STANDARD
         write_scene(scene, path, self._date, as_routes=self._as_routes, dialect=dialect)
 
     def _road_file(self, plan: RoadPlan, number: int) -> str:
@@ -177,15 +176,16 @@ class _Scenes:
 
         if plan not in self._roads:
             name = re.sub(r"[^\w.-]", "-", self._config.env.rpartition("/")[2])
-            road, own = self._made / "road", f"{name}-{number:06d}"
+            road, own = self._draft / "road", f"{name}-{number:06d}"
             write_road(plan, name, road)
-            names = (f"{one}.xodr" for one in chain([name, own], (f"{own}-{i}" for i in count(2))))
-            others = {*self._roads.values()}  # scenes of earlier exports may have another road, too
-            free = (one for one in names if one not in others)
-            file = next(one for one in free if not (self._out / one).exists() or same_road(self._out / one, road))
-            if (self._out / file).exists():
+            # the files of other roads are passed over: those of this export, and any of an earlier one
+            for file in (f"{one}.xodr" for one in chain([name, own], (f"{own}-{i}" for i in count(2)))):
+                there = self._out / file
+                if file not in self._roads.values() and (not there.exists() or same_road(there, road)):
+                    break
+            if there.exists():
                 road.unlink()
             else:
-                road.replace(self._made / file)
+                road.replace(self._draft / file)
             self._roads[plan] = file
         return self._roads[plan]

@@ -1,4 +1,4 @@
-"""Motion as few bytes that compress well, by second differences over time; and arrays by name, compressed."""
+"""Motion as few bytes that compress well, by second differences over time; and compressed arrays, by name."""
 
 import threading
 from collections.abc import Mapping
@@ -13,14 +13,14 @@ from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place
 
 MOST_VALUES: Final = 20_000_000  # of one quantity of all vehicles in all frames
-LEVEL: Final = 3
-MAX_UNPACKED: Final = 450_000_000  # bytes; the largest trace has 41 for each of 10 million vehicles in frames
+LEVEL: Final = 3  # of Zstandard
+MAX_UNPACKED: Final = 450_000_000  # [bytes]; the largest trace has 10 million places (vehicles times frames) of 41 each
 
 
 def pack_motion(motion: Floats, resolution: float) -> Bytes:
     """Return motion (T, ...) as second differences over time, byte by byte from the lowest, shape (b, ..., T).
 
-    The differences are in units of the resolution, of which the motion has multiples.
+    Motion is in multiples of the resolution, which is the unit of the differences. Each difference needs b bytes.
     """
     frames, *rest = motion.shape
     rows = np.ascontiguousarray(motion).reshape(frames, -1)
@@ -37,9 +37,8 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     Raises:
         InputError: if the bytes have another shape.
     """
-    is_packed = planes.dtype == np.uint8 and planes.ndim >= 2 and 1 <= len(planes) <= 8
-    has_frames = planes.shape[-1:] == (frames,)
-    if not (is_packed and has_frames):
+    is_packed = planes.dtype == np.uint8 and planes.ndim >= 2 and 1 <= len(planes) <= 8 and planes.shape[-1] == frames
+    if not is_packed:
         raise InputError("Not a trace, or a damaged one: its motion has a wrong shape")
     if planes[0].size > MOST_VALUES:
         raise InputError(f"Not a trace: its motion has {planes[0].size} values, more than {MOST_VALUES}")
@@ -56,7 +55,7 @@ def _fill_changes(motion: Floats, resolution: float, changes: Ints) -> int:
 
     Return the number of bytes that each of them needs, at least 1.
     """
-    bits = np.int64(0)  # those that any difference needs, without its sign
+    bits = np.int64(0)  # those that any difference needs
     for i in range(motion.shape[1]):
         before, step = np.int64(0), np.int64(0)
         for t in range(len(motion)):
@@ -64,7 +63,7 @@ def _fill_changes(motion: Floats, resolution: float, changes: Ints) -> int:
             change = (now - before) - step
             before, step = now, now - before
             changes[i, t] = change
-            bits |= change ^ (change >> 63)
+            bits |= change ^ (change >> 63)  # the bits below the sign
     count = 1
     while count < 8 and bits >> (8 * count - 1):
         count += 1
@@ -107,7 +106,7 @@ _compression = _Compression()
 
 
 def pack_arrays(arrays: Mapping[str, Array]) -> bytes:
-    """Return arrays of numbers or truth values as bytes. Equal arrays give equal bytes."""
+    """Return numbers or truth values as bytes: safetensors, compressed by Zstandard. Equal arrays give equal bytes."""
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     return _compression.compressor.compress(safetensors.numpy.save(contiguous))
 

@@ -93,7 +93,7 @@ class Evaluator(Service):
         Raises:
             ADSError: if the ADS fails.
         """
-        return self.answer(self.simulation.run_alone(_scenario(scenario, self.simulation)))
+        return self.answer(self.simulation.run_compiled(_scenario(scenario, self.simulation)))
 
     def original(self, scenario: bytes) -> bytes:
         """Execute a scenario, given as JSON, in highway-env itself, and return its trace as bytes.

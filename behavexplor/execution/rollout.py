@@ -3,6 +3,7 @@
 Before that, how an ADS is asked; at the end, how its log of decisions is kept.
 """
 
+import hashlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
@@ -19,9 +20,10 @@ from behavexplor.data.observations import Observation, arrays_of, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import brief, described, place_of
-from behavexplor.execution.drawn_actions import DrawnActions
 from behavexplor.execution.executor import ADSError
 
+STREAM: Final = 0x64_72_61_77  # separates the random numbers of drawn actions from others
+_LEAST_ROOM: Final = 64  # rows of a log of decisions
 COPIED: Final = 84  # exit code of a copy of a worker's process that an ADS has made
 
 _asking: list[Any] = [SimpleNamespace(value=0)]  # 1 while the ADS is being called
@@ -115,7 +117,37 @@ def _check_values(actions: NDArray[Any], space: gymnasium.Space[Any]) -> None:
             raise _AnswerError(f"predict must return actions of {space}, got {actions[valid.argmin()]}")
 
 
-_LEAST_ROOM: Final = 64  # rows
+class DrawnActions:
+    """A stochastic policy that drives as in its training; see `behavexplor.ads.interface.StochasticADS`.
+
+    Each episode has a stream of random numbers that depends on the scenario alone. So an episode can be repeated
+    exactly, whichever episodes run beside it.
+    """
+
+    def __init__(self, policy: Any, count: int) -> None:
+        self._policy = policy
+        self._streams = [np.random.default_rng(STREAM) for _ in range(count)]
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the policy, such as its decision log."""
+        return getattr(self._policy, name)
+
+    def begin(self, row: int, scenario: Scenario) -> None:
+        """Begin the stream of an episode, which is in this row of the next observation."""
+        digest = hashlib.sha256(scenario.to_json().encode()).digest()
+        self._streams[row] = np.random.default_rng([STREAM, int.from_bytes(digest[:16])])
+
+    def predict(
+        self,
+        observation: Observation,
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,  # noqa: ARG002 - the streams decide
+    ) -> tuple[NDArray[Any], Any]:
+        """Draw the actions of a batch of egos; see `behavexplor.ads.interface.ADS`."""
+        noise = np.stack([stream.random(self._policy.noise) for stream in self._streams])
+        answer: tuple[NDArray[Any], Any] = self._policy.draw(observation, state, episode_start, noise)
+        return answer
 
 
 def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace:

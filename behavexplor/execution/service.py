@@ -15,9 +15,9 @@ class Batch(Protocol):
         """Take one more request."""
 
     def advance(self) -> list[tuple[int, bytes | Exception | None]]:
-        """Advance all requests by one step, and return key and result, or exception, of each that is done.
+        """Advance all requests by one step, and return the key of each that is done, with its result or exception.
 
-        None means that the request must be called again alone.
+        A result of None means that the request must be called again alone.
         """
 
 

@@ -1,6 +1,6 @@
 """Simulations: one ADS in one environment, which turn concrete scenarios into traces.
 
-Also the kernels, the logical scenario and the default search method of an environment.
+Also what is known of an environment without a scenario: its kernels, logical scenario and default search method.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -16,7 +16,7 @@ from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.description import is_policy
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
-from behavexplor.data.drawn_scenario import DECLARATIONS, DECLARED, DEFAULT, Traffic
+from behavexplor.data.drawn_scenario import DECLARED, DEFAULT, Traffic
 from behavexplor.data.named_code import TRAFFIC_CLASS, traffic_code
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
@@ -34,8 +34,7 @@ from behavexplor.envs.making import (
     make_vector_env,
 )
 from behavexplor.errors import InputError, brief, described, place_of
-from behavexplor.execution.drawn_actions import DrawnActions
-from behavexplor.execution.rollout import LockStep, rollout, rollout_all, run_episodes
+from behavexplor.execution.rollout import DrawnActions, LockStep, rollout, rollout_all, run_episodes
 
 FILE, MODULE, MEMORY = "file", "module", "memory"  # where the ADS of a simulation comes from
 _MISSING: Final = object()
@@ -65,14 +64,22 @@ class Simulation:
         ads: name of the driving system, see `behavexplor.ads.loading.load_ads`. Its attributes `observation`, `action`,
             `policy_frequency` and `simulation_frequency`, where it has them, configure the environment. In an
             environment of highway-env, so does its attribute `env_config`, or its method `fitted`, which makes a
-            configuration in which it drives from the environment's own. Its method `seeing`, if it
-            has one, returns the driver for the environment's spaces of observations and actions.
+            configuration in which it drives from the environment's own. Its method `seeing`, if it has one, returns the
+            driver for the environment's spaces of observations and actions.
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares; None if it is not known.
         traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the ADS draws its actions instead of deciding deterministically.
         render_mode: what the environment's `render` returns or shows, as in gymnasium.
         activation: function between the layers of a file of weights; None for that in the file beside it.
+
+    Attributes:
+        env, ads: the environment and the ADS, made to fit each other.
+        source: where the ADS comes from: `FILE`, `MODULE` or `MEMORY`.
+        logical: the logical scenario that the environment declares.
+        plain: why the environment cannot run in lock-step, once this is known; empty if it can.
+        stochastic: whether the ADS draws its actions.
+        is_configured: whether a configuration for the policy was found, where one is needed.
 
     Raises:
         InputError: if there is no such environment or ADS, or if they do not fit together.
@@ -90,33 +97,32 @@ class Simulation:
         render_mode: str | None = None,
         activation: Activation | None = None,
     ) -> None:
-        is_theirs = is_highway(env)
-        roadmap = None if is_theirs else logical_scenario(env).roadmap
-        self.source = _source(ads)  # where the ADS comes from: `FILE`, `MODULE` or `MEMORY`
+        in_highway_env = is_highway(env)
+        roadmap = None if in_highway_env else logical_scenario(env).roadmap
+        self.source = _source(ads)
         self.ads: Any = load_ads(ads, roadmap, trust, activation) if isinstance(ads, str) else ads
         _check_attributes(self.ads)
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
-        trained = _plain(getattr(self.ads, "env_config", {})) if is_theirs else {}
+        trained = _plain(getattr(self.ads, "env_config", {})) if in_highway_env else {}
         given = dict(env_config or {})
         _check_traffic(ads, trained, given)
-        if is_theirs:  # a model in memory drives with the keys with which it was trained
+        if in_highway_env:  # a model in memory drives with the keys with which it was trained
             kept = () if isinstance(ads, str) else trained.keys() - given.keys()
             whole = {**declared, **trained, **given}
             ignored = check_keys(env, {key: value for key, value in whole.items() if key not in kept})
-            trained, given = ({k: v for k, v in one.items() if k not in ignored} for one in (trained, given))
-        if is_theirs and hasattr(self.ads, "fitted"):
-            given = _answer(self.ads, "fitted", "keys", {**default_config(env), **given})
+            trained = {key: value for key, value in trained.items() if key not in ignored}
+            given = {key: value for key, value in given.items() if key not in ignored}
+        if in_highway_env and hasattr(self.ads, "fitted"):
+            given = _answer(self.ads, "fitted", {**default_config(env), **given}, needed="keys")  # a mapping
         self.env = make_env(env, {**declared, **trained, **given}, traffic, render_mode)
         if hasattr(self.ads, "seeing"):
-            self.ads = _answer(self.ads, "seeing", "predict", self.env.observation_space, self.env.action_space)
+            self.ads = _answer(self.ads, "seeing", self.env.observation_space, self.env.action_space, needed="predict")
         self.logical = logical_of(self.env, env)
-        self.plain = ""  # why the environment cannot run in lock-step, once this is known; empty if it can
-        self.stochastic = stochastic  # whether the ADS draws its actions
+        self.plain, self.stochastic = "", stochastic
         self._single: LockStep | None = None
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {brief(ads)} cannot draw its actions: leave out --stochastic")
-        is_asked = is_theirs and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
-        # whether a configuration for the policy was found, where one is needed
+        is_asked = in_highway_env and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
         self.is_configured = not is_asked or env_config is not None or has_own_config(env)
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
@@ -126,17 +132,15 @@ class Simulation:
         Scripted vehicles are simulated in a compiled environment with one slot, if it supports the configuration, and
         highway-env's environments as they are.
         """
-        if self.logical.has_original:
-            return rollout(self.env, self.driver(1), scenario)
-        self._single = self._single or self.lock_step(1)
+        self._single = None if self.logical.has_original else self._single or self.lock_step(1)
         if self._single is None:
             return rollout(self.env, self.driver(1), scenario)
-        self._single.give_up()  # an episode in which the driver has failed
+        self._single.give_up()  # ends the episode in which the driver has failed before, if it has
         ((_, trace),) = run_episodes(self._single, [scenario])
         return trace
 
-    def run_alone(self, scenario: Scenario) -> Trace:
-        """Run a scenario as a campaign does, and return its trace: compiled, as far as the engine can begin it.
+    def run_compiled(self, scenario: Scenario) -> Trace:
+        """Run a scenario as a campaign does, and return its trace: compiled, unless the engine cannot begin it.
 
         Raises:
             ADSError: if the ADS fails.
@@ -164,9 +168,9 @@ class Simulation:
     def lock_step(self, count: int, *, short: bool = False) -> LockStep | None:
         """Return episodes in lock-step; None if the environment has no compiled form.
 
-        `count` is the number of episodes at a time, 1 if the ADS takes one observation at a time. Short traces are
-        without the ADS's log, and None for failures; see the attribute `short_traces` of the vector environments. The
-        result is None for an environment without it.
+        `count` is the number of episodes at a time, 1 if the ADS takes one observation at a time. With `short`, traces
+        are those of the vector environment's attribute `short_traces`, without the ADS's log; the result is None if it
+        has no such attribute.
         """
         envs: Any = self.compiled(count)
         if envs is None or (short and not hasattr(envs, "short_traces")):
@@ -191,9 +195,10 @@ class Simulation:
         return self.vector_env(count)
 
     def vector_env(self, count: int, **changes: Any) -> VectorEnv[Any, Any, Any] | None:
-        """Return a vector environment with the observations and actions of the ADS; None if there is none for this one.
+        """Return a vector environment with the observations and actions of the ADS.
 
-        The changes are keys of the environment's configuration that replace those of the ADS.
+        It is None if the environment has none, or none that supports this configuration. The changes are keys of the
+        environment's configuration that replace those of the ADS.
         """
         try:
             return make_vector_env(self.env, count, changes)
@@ -213,8 +218,8 @@ def _check_attributes(ads: Any) -> None:
             raise InputError(f"The driver's {name} must be {words}, got {brief(value)}")
 
 
-def _answer(ads: Any, method: str, needed: str, *arguments: Any) -> Any:
-    """Return what a method of a driver returns, which must have an attribute."""
+def _answer(ads: Any, method: str, *arguments: Any, needed: str) -> Any:
+    """Return what a method of a driver returns. It must have the attribute that is needed."""
     try:
         found = getattr(ads, method)(*arguments)
     except InputError:
@@ -248,12 +253,12 @@ def _plain(value: Any) -> Any:
 
 
 def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: Any) -> None:
-    """Check that a policy with declared spaces can drive in an environment, or say how to make it fit."""
+    """Refuse a policy with declared spaces that cannot drive in an environment, and say how to make it fit."""
     if not (hasattr(ads, "observation_space") and hasattr(ads, "action_space")):
         return
-    spaces = (ads.observation_space, ads.action_space)
     if _fits(ads, env):
         return
+    spaces = (ads.observation_space, ads.action_space)
     named = f"policy {ads_name!r}" if isinstance(ads_name, str) else "policy in memory"
     raise InputError(
         f"The {named} observes {brief_space(spaces[0])} and commands {brief_space(spaces[1])}, but the environment "
@@ -267,9 +272,10 @@ def _where_it_fits(ads: Any) -> str:
     fitting = []
     for other in (*behavexplor.FUNCTIONAL_SCENARIOS, *behavexplor.HIGHWAY_ENV):
         made = make_env(other, {})
-        fitting += [other] if _fits(ads, made) else []
+        if _fits(ads, made):
+            fitting.append(other)
         made.close()
-    return f"It fits {', '.join(fitting)} without a configuration: is --env another one? Otherwise: " if fitting else ""
+    return f"It fits {', '.join(fitting)} without a configuration: did --env mean that? Otherwise: " if fitting else ""
 
 
 def seen_in(env: str, ads: Any, config: Mapping[str, Any]) -> tuple[Any, bool]:
@@ -280,8 +286,8 @@ def seen_in(env: str, ads: Any, config: Mapping[str, Any]) -> tuple[Any, bool]:
     Raises:
         InputError: if the environment cannot be configured so, or the driver cannot see it.
     """
-    declared = {key: _plain(getattr(ads, key)) for key in DECLARATIONS if hasattr(ads, key)}
-    made = make_registered(env, {**declared, **declared.pop("env_config", {}), **config})
+    declared = {key: _plain(getattr(ads, key)) for key in DECLARED if hasattr(ads, key)}
+    made = make_registered(env, {**declared, **getattr(ads, "env_config", {}), **config})
     made.close()
     seen = ads.seeing(made.observation_space, made.action_space) if hasattr(ads, "seeing") else ads
     return seen, _fits(seen, made)
@@ -310,7 +316,7 @@ def brief_space(space: gymnasium.Space[Any]) -> str:
 def compile_kernels(env: str) -> None:
     """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step.
 
-    Nothing is done for an environment of another package.
+    An environment of another package has no kernels of ours: it is only made and closed.
     """
     if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
         _compile_engine(env)
@@ -330,7 +336,7 @@ def compile_kernels(env: str) -> None:
 
 
 def _compile_engine(env: str) -> None:
-    """Compile the engine of highway-env's environments, which is the same for all of them, if this is one of them."""
+    """Compile the engine of highway-env's environments, which is the same for all of them."""
     made = make_env(env, {})
     try:
         envs = make_vector_env(made, 1, {})

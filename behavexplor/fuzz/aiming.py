@@ -46,12 +46,11 @@ class AimingOptions:
 class Drive:
     """The recorded motion of an ego, every `INTERVAL` seconds."""
 
-    frame: Ints
+    frame: Ints  # frames of the trace, shape (F,)
     time: Floats  # times, shape (F,) [s]
     pose: Floats  # x [m], y [m] and heading [rad], shape (F, 3)
     speed: Floats  # speeds, shape (F,) [m/s]
-    # distance across its heading that the ego has moved in the last `CHANGE_TIME`, positive to the right, shape (F,)
-    # [m]
+    # the ego's way across its heading in the last `CHANGE_TIME`, positive to the right, shape (F,) [m]
     drift: Floats
 
     @classmethod
@@ -78,7 +77,7 @@ class Drive:
 class Aiming:
     """Draws vehicles that would have met the ego on a recorded drive.
 
-    `predict` returns the motion of vehicles by their waypoints; without it, that of scripted vehicles is meant.
+    `predict` predicts the motion of vehicles from their waypoints; None for that of scripted vehicles.
     """
 
     def __init__(

@@ -28,9 +28,10 @@ class Uniform:
         self._asked = 0
 
     def ask(self) -> Candidate:
-        """Return the next sampled scenario."""
+        """Return the next scenario, which is drawn by `draws(seed, number)` when it is needed."""
+        number = self._asked
         self._asked += 1
-        return UniformCandidate(self._asked - 1, self._logical, self._seed)
+        return UniformCandidate(number, self._logical, self._seed)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
         """Ignore the execution, since nothing is learned."""

@@ -40,7 +40,7 @@ class Rerun:
 def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Rerun:
     """Execute a scenario again, with the same ADS in the same environment, and compare the traces."""
     try:
-        again = simulation.run_alone(scenario)
+        again = simulation.run_compiled(scenario)
     except ADSError:
         return Rerun(same_verdict=False, same_trace=False, deviation=0.0)
     frames = min(len(again.time), len(trace.time))

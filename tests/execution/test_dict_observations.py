@@ -11,6 +11,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from behavexplor.data.target import Target
+from behavexplor.envs.making import make_registered
 from behavexplor.errors import InputError
 from behavexplor.execution import simulation as simulation_module
 from behavexplor.execution.evaluator import EXECUTE
@@ -135,3 +136,14 @@ def test_environments_that_are_only_looked_at_are_closed(monkeypatch):
     open_ones.clear()
     seen_in(NAME, SimpleNamespace(observation_space=SPACE, action_space=Discrete(5)), {})
     assert open_ones == []
+
+
+def test_the_configuration_that_a_driver_declares_is_that_of_the_environment_itself(monkeypatch):
+    configured = []
+    made = make_registered(NAME, {})
+    monkeypatch.setattr(simulation_module, "make_registered", lambda _, config: configured.append(config) or made)
+    driver = SimpleNamespace(
+        observation_space=SPACE, action_space=Discrete(5), policy_frequency=2, env_config={"duration": 7, "vehicles": 3}
+    )
+    seen_in(NAME, driver, {"vehicles": 1})
+    assert configured == [{"policy_frequency": 2, "duration": 7, "vehicles": 1}]

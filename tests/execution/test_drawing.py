@@ -10,7 +10,7 @@ import pytest
 from behavexplor.ads.interface import StochasticADS
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
-from behavexplor.execution.drawn_actions import DrawnActions
+from behavexplor.execution.rollout import DrawnActions
 from behavexplor.execution.simulation import Simulation
 
 ENV, POLICY = "lane-follow", "learned:lane-follow"

@@ -16,7 +16,7 @@ from behavexplor.data.roadmap import RoadMap
 class LearningVecEnv(VecEnvWrapper):
     """A vector environment with features as observations, shape (N_FEATURES,), and N_ACTIONS discrete actions.
 
-    The one inside observes `Scene` and takes the commands of `behavexplor.ads.learned.driver`, at its policy frequency.
+    `venv` observes `Scene` and takes the commands of `behavexplor.ads.learned.driver`, at that driver's frequency.
     """
 
     def __init__(self, venv: VecEnv, roadmap: RoadMap) -> None:

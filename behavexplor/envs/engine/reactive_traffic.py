@@ -21,11 +21,14 @@ from behavexplor.envs.engine.state import LINEAR, OBSTACLE, PLAIN, Records, Scen
 from behavexplor.jit import kernel_inner
 
 MIN_CHANGE_SPEED: Final = 1  # a slower vehicle does not change lane [m/s]
+NO_VEHICLE: Final = -1
+UNKNOWN: Final = -1  # `n_on_lane` of a lane that has not been asked for in this frame
+MARGIN: Final = 1.0  # a vehicle this far beside a lane still counts as on it [m]
 
 
 @kernel_inner
 def drive(network: Network, scene: Scene, i: int) -> None:
-    """Decide the lane, steering and acceleration of a vehicle: `IDMVehicle.act`."""
+    """Let vehicle i, IDM or LINEAR and not crashed, decide lane, steering and acceleration: `IDMVehicle.act`."""
     vehicle, traits, former = scene.vehicles[i], scene.traits[i], scene.vehicles[i].target_lane
     station, offset = coordinates_on(network, scene, i, former)
     follow_road(network, vehicle, scene.routes[i], station)
@@ -95,8 +98,8 @@ def _recommends(
 ) -> bool:
     """Return whether MOBIL recommends a change to a lane: `IDMVehicle.mobil`.
 
-    `free` and `unchanged` are the accelerations that it would want on a free road, and wants in its present lane
-    [m/s2]. `old_front` and `old_rear` are its neighbors there, or `NO_VEHICLE`.
+    `free` is the acceleration that vehicle i would want on a free road, and `unchanged` the one that it wants in its
+    present lane [m/s2], where `old_front` and `old_rear` are its neighbors, or `NO_VEHICLE`.
     """
     vehicle, traits = scene.vehicles[i], scene.traits[i]
     station, _ = lane_coordinates(network.lanes[lane], vehicle.x, vehicle.y)
@@ -184,14 +187,13 @@ def _desired_gap(traits: Traits, vehicle: Vehicle, front: Vehicle) -> float:
     return float(follow + vehicle.speed * closing / traits.gap_divisor)
 
 
-NO_VEHICLE: Final = -1
-UNKNOWN: Final = -1  # `n_on_lane` of a lane that has not been asked for in this frame
-MARGIN: Final = 1.0  # a vehicle this far beside a lane still counts as on it [m]
-
-
 @kernel_inner
 def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float) -> tuple[int, int]:
-    """Return the nearest vehicles or obstacles in front and behind, `NO_VEHICLE` if there is none."""
+    """Return the nearest in front of vehicle i and behind it on a lane, or `NO_VEHICLE`: `Road.neighbour_vehicles`.
+
+    Obstacles count. `station` is that of vehicle i on this lane [m]. No vehicle moves while all of them decide, so the
+    list of the vehicles on a lane is made when it is first asked for in a frame.
+    """
     on_lane = scene.scratch.on_lane[lane]
     if scene.scratch.n_on_lane[lane] == UNKNOWN:
         scene.scratch.n_on_lane[lane] = _find_on_lane(network, scene, lane, on_lane)
