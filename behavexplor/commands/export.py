@@ -178,8 +178,8 @@ class _Scenes:
             name = re.sub(r"[^\w.-]", "-", self._config.env.rpartition("/")[2])
             road, own = self._draft / "road", f"{name}-{number:06d}"
             write_road(plan, name, road)
-            # the files of other roads are passed over: those of this export, and any of an earlier one
-            for file in (f"{one}.xodr" for one in chain([name, own], (f"{own}-{i}" for i in count(2)))):
+            names = chain([name, own], (f"{own}-{i}" for i in count(2)))  # those of other roads are passed over
+            for file in map("{}.xodr".format, names):
                 there = self._out / file
                 if file not in self._roads.values() and (not there.exists() or same_road(there, road)):
                     break

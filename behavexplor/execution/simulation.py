@@ -316,9 +316,9 @@ def brief_space(space: gymnasium.Space[Any]) -> str:
 def compile_kernels(env: str) -> None:
     """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step.
 
-    An environment of another package has no kernels of ours: it is only made and closed.
+    Highway-env's environments share one engine. An environment of another package has no kernels: it is only made.
     """
-    if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
+    if environment_id(env) not in map(environment_id, behavexplor.FUNCTIONAL_SCENARIOS):
         _compile_engine(env)
         return
     simulation = Simulation(env, "constant")
@@ -336,7 +336,7 @@ def compile_kernels(env: str) -> None:
 
 
 def _compile_engine(env: str) -> None:
-    """Compile the engine of highway-env's environments, which is the same for all of them."""
+    """Compile the engine of highway-env's environments, the same for all of them; only make any other environment."""
     made = make_env(env, {})
     try:
         envs = make_vector_env(made, 1, {})

@@ -37,7 +37,7 @@ class AimingOptions:
     """Options of aiming."""
 
     draws: Annotated[int, between(1, 1000)] = 48  # vehicles drawn on a route, of which one that meets the ego is taken
-    reach: Annotated[float, between(0.1)] = 4.5  # greatest distance between the centers of vehicle and ego [m]
+    reach: Annotated[float, between(0.1)] = 4.5  # greatest distance between their centers when vehicle and ego meet [m]
     # share of vehicles that are aimed at the part of the drive in which the ego changed lanes or turned, if it did
     changing_share: Annotated[float, between(0, 1)] = 0.25
 
@@ -50,7 +50,7 @@ class Drive:
     time: Floats  # times, shape (F,) [s]
     pose: Floats  # x [m], y [m] and heading [rad], shape (F, 3)
     speed: Floats  # speeds, shape (F,) [m/s]
-    # the ego's way across its heading in the last `CHANGE_TIME`, positive to the right, shape (F,) [m]
+    # distance that the ego moved across its heading in the last `CHANGE_TIME`, positive to the right, shape (F,) [m]
     drift: Floats
 
     @classmethod

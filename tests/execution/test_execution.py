@@ -12,6 +12,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.envs.making import environment_id
 from behavexplor.errors import InputError
+from behavexplor.execution import simulation as simulation_module
 from behavexplor.execution.evaluator import EXECUTE, Evaluator
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout
@@ -156,6 +157,14 @@ def test_the_kernels_of_all_views_are_compiled_before_a_driver_is_confined(monke
     monkeypatch.setattr(Simulation, "vector_env", noted)
     compile_kernels("lane-follow")
     assert {(1,), (2,), (2, "observation"), (2, "action")} == set(stepped)
+
+
+def test_the_kernels_of_highway_env_s_environments_are_compiled_under_both_of_their_names(monkeypatch):
+    made = []
+    monkeypatch.setattr(simulation_module, "make_vector_env", lambda env, *_: made.append(env))
+    for env in ("highway-fast-v0", "behavexplor/highway-fast-v0"):
+        compile_kernels(env)
+    assert len(made) == 2
 
 
 @pytest.mark.parametrize("name", ["intersection-straight", "behavexplor/intersection-straight-v0"])

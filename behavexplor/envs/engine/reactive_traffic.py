@@ -28,7 +28,7 @@ MARGIN: Final = 1.0  # a vehicle this far beside a lane still counts as on it [m
 
 @kernel_inner
 def drive(network: Network, scene: Scene, i: int) -> None:
-    """Let vehicle i, IDM or LINEAR and not crashed, decide lane, steering and acceleration: `IDMVehicle.act`."""
+    """Decide lane, steering and acceleration of vehicle i, which is IDM or LINEAR and not crashed: `IDMVehicle.act`."""
     vehicle, traits, former = scene.vehicles[i], scene.traits[i], scene.vehicles[i].target_lane
     station, offset = coordinates_on(network, scene, i, former)
     follow_road(network, vehicle, scene.routes[i], station)
@@ -162,8 +162,8 @@ def _free_acceleration(network: Network, scene: Scene, traits: Traits, i: int) -
 def _acceleration(network: Network, scene: Scene, traits: Traits, i: int, front: int, free: float) -> float:
     """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
 
-    Vehicle i need not be the driver's own; `front` is the one in front of it, or `NO_VEHICLE`; `free` is what the
-    driver would want on a free road [m/s2].
+    The driver, with `traits`, drives vehicle i, which need not be its own. `front` is the vehicle in front of it, or
+    `NO_VEHICLE`; `free` is what the driver would want on a free road [m/s2].
     """
     if front == NO_VEHICLE or (scene.traits[i].kind == OBSTACLE and traits.kind != LINEAR):
         return free
@@ -189,10 +189,10 @@ def _desired_gap(traits: Traits, vehicle: Vehicle, front: Vehicle) -> float:
 
 @kernel_inner
 def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float) -> tuple[int, int]:
-    """Return the nearest in front of vehicle i and behind it on a lane, or `NO_VEHICLE`: `Road.neighbour_vehicles`.
+    """Return the nearest vehicles or obstacles in front of vehicle i and behind it on a lane, or `NO_VEHICLE`.
 
-    Obstacles count. `station` is that of vehicle i on this lane [m]. No vehicle moves while all of them decide, so the
-    list of the vehicles on a lane is made when it is first asked for in a frame.
+    This is `Road.neighbour_vehicles`. `station` is that of vehicle i on this lane [m]. No vehicle moves while all of
+    them decide, so each lane has one list of the vehicles on it, made when it is first asked for in a frame.
     """
     on_lane = scene.scratch.on_lane[lane]
     if scene.scratch.n_on_lane[lane] == UNKNOWN:

@@ -140,20 +140,19 @@ class EpisodeRecord:
         size = np.array([self.sizes[number] for number in numbers.tolist()])
         has_crashed = bool(crashed[:, 0].any())
         count = int(crashed[:, 0].argmax()) + 1 if has_crashed else len(things)
-        indexes, (lane, _) = lane_indexes(network), lanes[..., 0]  # the ego's in every frame
-        driven = [indexes[one] for one in lane.tolist()]
+        indexes = lane_indexes(network)
+        driven = [indexes[lane] for lane in lanes[0, :, 0].tolist()]  # the ego's lane in every frame
         route = ego_route(network, self._route, driven, position[:, 0])
         partner = _partner(position, heading, size, crashed)
         signals = self._signals(crashed[:, 0], driven, count) | _lane_signals(network, lanes, heading, partner)
         if crashed[:, 1:].any():
             signals[WRECKS] = crashed.astype(np.float64)
-        position, heading, velocity = (values[:count] for values in (position, heading, velocity))
-        decisions = sum(at < count for at in self._action_frames)
+        decisions = sum(given < count for given in self._action_frames)
         return Trace(
             time=np.arange(count, dtype=np.float64) * self._period,
-            position=position,
-            heading=heading,
-            velocity=velocity,
+            position=position[:count],
+            heading=heading[:count],
+            velocity=velocity[:count],
             size=size,
             actions=np.array(self._actions[:decisions]) if self._actions else np.zeros((0, 1)),
             action_frame=np.array(self._action_frames[:decisions], dtype=np.int64),
@@ -230,9 +229,9 @@ class Watch:
     ) -> tuple[int, float, float, float, float, int, int, bool]:
         number, _ = self._things.setdefault(id(thing), (len(self._things), thing))
         self.record.sizes.setdefault(number, (float(thing.LENGTH), float(thing.WIDTH)))
-        pose = (*thing.position.tolist(), float(thing.heading), float(getattr(thing, "speed", 0.0)))
+        motion = (*thing.position.tolist(), float(thing.heading), float(getattr(thing, "speed", 0.0)))
         lane, target = (tuple(getattr(thing, name, None) or ()) for name in ("lane_index", "target_lane_index"))
-        return number, *pose, numbers.get(lane, NO_LANE), numbers.get(target, NO_LANE), bool(thing.crashed)
+        return number, *motion, numbers.get(lane, NO_LANE), numbers.get(target, NO_LANE), bool(thing.crashed)
 
 
 def _joined(things: Sequence[Records]) -> Records:
