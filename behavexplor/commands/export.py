@@ -58,16 +58,16 @@ def export(
         check_libraries()
     elif (ego, npcs) != ("recorded", "trajectories"):
         raise InputError("--ego and --npcs cannot be given with --format csv: a table has what was recorded")
-    is_for_carla = format == "openscenario-1.0"
-    if is_for_carla and npcs == "routes":
+    for_carla = format == "openscenario-1.0"
+    routes = npcs == "routes"
+    if for_carla and routes:
         raise InputError("--npcs routes cannot be given with --format openscenario-1.0, which has no speed profiles")
     store = Store.read(run)
     try:
         chosen = tuple(dict.fromkeys(numbers)) or tuple(record.id for record in store.records() if record.failed)
         config = stored_config(run).says if format == "csv" else _accepted(run, trust)
         with _new_files(out) as draft:
-            free, routes = ego == "free", npcs == "routes"
-            scenes = _Scenes(run, config, draft, out, is_ego_free=free, as_routes=routes, is_for_carla=is_for_carla)
+            scenes = _Scenes(run, config, draft, out, is_ego_free=ego == "free", as_routes=routes, for_carla=for_carla)
             for execution in map(store.execution, chosen):
                 if format == "csv":
                     write_table(execution.scenario, execution.load_trace(), draft / f"{execution.id:06d}.csv")
@@ -119,14 +119,14 @@ class _Scenes:
         *,
         is_ego_free: bool,
         as_routes: bool,
-        is_for_carla: bool,
+        for_carla: bool,
     ) -> None:
         self._config = config
         self._date = datetime.fromtimestamp(int((run / CONFIG).stat().st_mtime), UTC)
         self._draft, self._out = draft, out
         self._is_ego_free = is_ego_free
         self._as_routes = as_routes
-        self._is_for_carla = is_for_carla
+        self._for_carla = for_carla
         self._roads: dict[RoadPlan, str] = {}
         self.motionless = 0  # number of scenes without recorded motion
 
@@ -136,7 +136,7 @@ class _Scenes:
 
         scenario, trace = execution.scenario, execution.load_trace()
         plan, logical = road_of(scenario, self._config.env, self._config.env_config or {})
-        is_reactive = logical.has_original
+        is_reactive = logical.has_original  # one of highway-env's own environments, whose vehicles react to the ego
         if self._is_ego_free and is_reactive:
             raise InputError(
                 f"The vehicles of {self._config.env} react to the ego, and a scene has only what they did with the "
@@ -161,13 +161,13 @@ class _Scenes:
             time_limit=EPISODE_TIME if goes_on else trace.duration,
             scenario=scenario if is_reactive else None,
         )
-        if self._is_for_carla and any(mover.is_gone or mover.time[0] > 0 for mover in scene.movers):
+        if self._for_carla and any(mover.is_gone or mover.time[0] > 0 for mover in scene.movers):
             raise InputError(
                 f"In execution {execution.id}, a vehicle appears or leaves, which CARLA's ScenarioRunner cannot play: "
                 "give the numbers of other executions"
             )
-        path, dialect = self._draft / f"{execution.id:06d}.xosc", CARLA if self._is_for_carla else STANDARD
-        write_scene(scene, path, self._date, as_routes=self._as_routes, dialect=dialect)
+        path = self._draft / f"{execution.id:06d}.xosc"
+        write_scene(scene, path, self._date, as_routes=self._as_routes, dialect=CARLA if self._for_carla else STANDARD)
 
     def _road_file(self, plan: RoadPlan, number: int) -> str:
         """Return the name of the file of a road, which is written if it is new."""
@@ -178,8 +178,8 @@ class _Scenes:
             name = re.sub(r"[^\w.-]", "-", self._config.env.rpartition("/")[2])
             road, own = self._draft / "road", f"{name}-{number:06d}"
             write_road(plan, name, road)
-            names = chain([name, own], (f"{own}-{i}" for i in count(2)))  # those of other roads are passed over
-            for file in map("{}.xodr".format, names):
+            stems = chain([name, own], (f"{own}-{i}" for i in count(2)))  # a file with another road is passed over
+            for file in (f"{stem}.xodr" for stem in stems):
                 there = self._out / file
                 if file not in self._roads.values() and (not there.exists() or same_road(there, road)):
                     break

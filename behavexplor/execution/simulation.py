@@ -318,7 +318,8 @@ def compile_kernels(env: str) -> None:
 
     Highway-env's environments share one engine. An environment of another package has no kernels: it is only made.
     """
-    if environment_id(env) not in map(environment_id, behavexplor.FUNCTIONAL_SCENARIOS):
+    with_scripted_vehicles = {environment_id(name) for name in behavexplor.FUNCTIONAL_SCENARIOS}
+    if environment_id(env) not in with_scripted_vehicles:
         _compile_engine(env)
         return
     simulation = Simulation(env, "constant")
@@ -336,7 +337,7 @@ def compile_kernels(env: str) -> None:
 
 
 def _compile_engine(env: str) -> None:
-    """Compile the engine of highway-env's environments, the same for all of them; only make any other environment."""
+    """Compile the engine, which all of highway-env's environments share. Any other environment is only made."""
     made = make_env(env, {})
     try:
         envs = make_vector_env(made, 1, {})

@@ -69,7 +69,7 @@ def test_a_later_export_leaves_the_roads_of_earlier_ones(tmp_path):
                 tmp_path,
                 is_ego_free=False,
                 as_routes=False,
-                is_for_carla=False,
+                for_carla=False,
             )
             written.append(scenes._road_file(plan, number))
     assert written == ["own.xodr", "own-000004.xodr", "own.xodr", "own-000004-2.xodr"]
@@ -85,7 +85,7 @@ def test_two_roads_of_one_export_have_files_of_their_own(tmp_path):
         tmp_path / "out",
         is_ego_free=False,
         as_routes=False,
-        is_for_carla=False,
+        for_carla=False,
     )
     plans = [plan_of_map(logical_scenario(env).roadmap) for env in ("lane-follow", "intersection-left")]
     assert [scenes._road_file(plan, 3) for plan in (*plans, plans[0])] == ["own.xodr", "own-000003.xodr", "own.xodr"]

@@ -129,11 +129,11 @@ class EpisodeRecord:
         at = (frame, column[every["number"]])
         motion = np.zeros((4, len(things), len(numbers)))
         motion[:2] = ABSENT
-        lanes = np.zeros((2, len(things), len(numbers)), dtype=np.int64)
+        lane, target = np.zeros((2, len(things), len(numbers)), dtype=np.int64)
         present, crashed = np.zeros((2, len(things), len(numbers)), dtype=bool)
         for i, name in enumerate(("x", "y", "heading", "speed")):
             motion[i][at] = every[name]
-        lanes[0][at], lanes[1][at] = every["lane"], every["target_lane"]
+        lane[at], target[at] = every["lane"], every["target_lane"]
         present[at], crashed[at] = True, every["crashed"]
         position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
         velocity = speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -141,10 +141,10 @@ class EpisodeRecord:
         has_crashed = bool(crashed[:, 0].any())
         count = int(crashed[:, 0].argmax()) + 1 if has_crashed else len(things)
         indexes = lane_indexes(network)
-        driven = [indexes[lane] for lane in lanes[0, :, 0].tolist()]  # the ego's lane in every frame
+        driven = [indexes[place] for place in lane[:, 0].tolist()]  # the ego's lane in every frame
         route = ego_route(network, self._route, driven, position[:, 0])
         partner = _partner(position, heading, size, crashed)
-        signals = self._signals(crashed[:, 0], driven, count) | _lane_signals(network, lanes, heading, partner)
+        signals = self._signals(crashed[:, 0], driven, count) | _lane_signals(network, lane, target, heading, partner)
         if crashed[:, 1:].any():
             signals[WRECKS] = crashed.astype(np.float64)
         decisions = sum(given < count for given in self._action_frames)
@@ -177,7 +177,7 @@ class EpisodeRecord:
     def _signals(self, crashed: Bools, driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
         """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it.
 
-        `crashed` and `driven` are the ego's in every frame, of which the trace keeps `count`.
+        In every frame, `crashed` is whether the ego has crashed, and `driven` its lane; the trace keeps `count` frames.
         """
         signals = {CRASHED: crashed.astype(np.float64)}
         if self._leaving_matters:
@@ -252,14 +252,14 @@ def _partner(position: Floats, heading: Floats, size: Floats, crashed: Bools) ->
     return int(candidates[box_distance(boxes[:1], boxes[candidates]).argmin()])
 
 
-def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: int) -> dict[str, Array]:
+def _lane_signals(network: RoadNetwork, lane: Ints, target: Ints, heading: Floats, partner: int) -> dict[str, Array]:
     """Return the signals that the lanes tell; see `behavexplor.envs.highway.episode_record`."""
     table = lane_table(network)
-    place = places(table, *lanes[:, :, 0])
-    signals: dict[str, Array] = {CHANGING: lane_changes(table, *lanes[:, :, 0]), WAY: table.way[place]}
+    place = places(table, lane[:, 0], target[:, 0])
+    signals: dict[str, Array] = {CHANGING: lane_changes(table, lane[:, 0], target[:, 0]), WAY: table.way[place]}
     if partner > 0:
         turned = heading[:, partner] - heading[:, 0]
-        where, beside = partner_places(table, place, places(table, *lanes[:, :, partner]), turned)
+        where, beside = partner_places(table, place, places(table, lane[:, partner], target[:, partner]), turned)
         signals |= {PARTNER: where, PARTNER_LANES: beside}
     return signals
 
