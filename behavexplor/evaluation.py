@@ -30,7 +30,7 @@ from behavexplor.judge.outcomes import (
     packed,
     unpacked,
 )
-from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Decision, Goal, clopper_pearson
+from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, OUTCOMES, Decision, Goal, check_outcome, clopper_pearson
 from behavexplor.judge.specs import ERROR, SPECS
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
@@ -82,7 +82,8 @@ class Evaluation:
         return cls(n, counts, failed=failed, at_fault=at_fault)
 
     def count(self, outcome: str) -> int:
-        """Return the number of scenarios with an outcome, which may also be `AT_FAULT` or `FAILED`."""
+        """Return the number of scenarios with an outcome, one of `OUTCOMES`; an `InputError` refuses any other name."""
+        check_outcome(outcome)
         return {**self.counts, FAILED: self.failed, AT_FAULT: self.at_fault}.get(outcome, 0)
 
     def rate(self, outcome: str) -> float:
@@ -178,27 +179,41 @@ def estimate_rates(
     """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the number of workers.
 
     The executor is that of `start_judge`; the scenarios are n random ones by the seed. With a goal, the evaluation ends
-    as soon as what is to be known is, at the latest after n scenarios. `observe` gets the number of finished ones. With
-    a file, the evaluation goes on from it and is written to it.
+    as soon as what is to be known is, at the latest after n scenarios; one in which the driver's program fails counts
+    as one with the outcome, because it says nothing else. `observe` gets the number of finished ones. With a file, the
+    evaluation goes on from it and is written to it.
 
     Raises:
-        InputError: if the file is damaged.
+        InputError: if the file is damaged, or the environment has no such outcome.
         RuntimeError: if a scenario could not be executed, or failed only once.
     """
     outcomes = uniform_outcomes(judge, logical, n, seed, observe, file)
     if goal is None:
         return Evaluation.of_outcomes(outcomes)
     kinds: Counter[Outcomes] = Counter()
-    done, count, look = 0, 0, 1
+    done, count, errors, look = 0, 0, 0, 1
     for done, one in enumerate(outcomes, 1):
         kinds[one] += 1
-        count += _has(one, goal.outcome)
+        is_error = ERROR in one.found and not _has(one, goal.outcome) and goal.outcome != ARRIVED
+        errors += is_error
+        count += is_error or _has(one, goal.outcome)
+        if done == SMALL_BLOCK:
+            _check_asked(goal.outcome, kinds)
         if done < look:
             continue
         look = math.ceil(done * _BETWEEN_LOOKS)
         if Decision.of(goal, done, count).verdict:
             break
-    return replace(Evaluation.of_kinds(kinds), decision=Decision.of(goal, done, count))
+    _check_asked(goal.outcome, kinds)
+    return replace(Evaluation.of_kinds(kinds), decision=Decision.of(goal, done, count, errors))
+
+
+def _check_asked(outcome: str, kinds: Iterable[Outcomes]) -> None:
+    """Refuse an outcome that means nothing in the environment, as far as the driver's program did not fail."""
+    asked = {name for one in kinds for name in one.asked}
+    if asked and outcome in OUTCOMES[: len(SPECS) + 1] and outcome not in asked:
+        has = ", ".join(name for name in OUTCOMES if name in {*asked, ERROR, AT_FAULT, FAILED})
+        raise InputError(f"The outcome {outcome!r} means nothing in this environment: name one of {has}")
 
 
 def _has(one: Outcomes, outcome: str) -> bool:

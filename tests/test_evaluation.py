@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 
 from behavexplor import Run, evaluation
-from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, UNDECIDED, main
+from behavexplor.api.evaluating import board
+from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, main
 from behavexplor.commands.rate_table import rates_table as table
 from behavexplor.data.target import Target
+from behavexplor.errors import InputError
 from behavexplor.evaluation import STREAM, Evaluation, estimate_rates, start_judge, uniform_outcomes
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
-from behavexplor.judge.outcomes import outcomes_of
+from behavexplor.execution.start import logical_of_target
+from behavexplor.judge.outcomes import Outcomes, outcomes_of, outcomes_of_error
 from behavexplor.judge.rates import ABOVE, BELOW, Decision, Goal
 from tests.confining import confines
 from tests.drivers import Cruiser
@@ -86,8 +89,8 @@ def test_outcomes_are_counted(cruising):
 )
 def test_intervals_are_exact(count, n, low, high):
     """The figures are those of the published tables of Clopper and Pearson."""
-    assert Evaluation(n, {"x": count}).interval("x") == pytest.approx((low, high), abs=2e-4)
-    assert Evaluation(n, {"x": count}).rate("x") == count / n
+    assert Evaluation(n, {"collision": count}).interval("collision") == pytest.approx((low, high), abs=2e-4)
+    assert Evaluation(n, {"collision": count}).rate("collision") == count / n
 
 
 @pytest.mark.parametrize("ahead", [1, 1024])
@@ -134,6 +137,55 @@ def test_the_exit_code_is_the_decision(below, code, tmp_path, capsys):
 def test_an_outcome_that_does_not_exist_is_named(capsys):
     assert main(["evaluate", "--env", "S1", "--ads", "idm", "--below", "0.1", "--outcome", "colision"]) == BAD_INPUT
     assert "did you mean 'collision'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("outcome", ["collision", "error", "failed", "at-fault"])
+def test_a_driver_whose_program_fails_is_never_below(outcome, tmp_path):
+    flags = ["--env", "lane-follow", "--ads", "tests.drivers:Lost", "--unconfined", "--workers", "0", "--quiet"]
+    flags += ["--below", "0.1", "--outcome", outcome, "--json", str(tmp_path / "rates.json")]
+    assert main(["evaluate", *flags, "--junit", str(tmp_path / "rates.xml")]) == EXECUTION_FAILED
+    decision = json.loads((tmp_path / "rates.json").read_text())["decision"]
+    assert (decision["verdict"], decision["count"]) == ("above", decision["n"])
+    assert decision["errors"] == (decision["n"] if outcome == "collision" else 0)
+    words = (tmp_path / "rates.xml").read_text()
+    assert ("collision or error in" in words) == (outcome == "collision")
+    assert 'failures="1"' in words
+
+
+def test_errors_among_other_outcomes_count_against_the_driver(cruising, monkeypatch):
+    """A program that fails in some scenarios does not arrive in them, and may have crashed there."""
+    passed, failed = Outcomes(("arrived",), ("arrived", "collision"), False), outcomes_of_error("raised")
+    monkeypatch.setattr(evaluation, "uniform_outcomes", lambda *_: iter([passed, failed] * 100))
+    rates = {
+        outcome: estimate_rates(None, None, 200, 0, goal=Goal(outcome, until=0.9)).decision
+        for outcome in ("collision", "arrived")
+    }
+    collision, arrived = rates["collision"], rates["arrived"]
+    assert collision.count == collision.errors == collision.n // 2
+    assert (arrived.count, arrived.errors) == (-(-arrived.n // 2), 0)
+
+
+@pytest.mark.parametrize("limit", [{"below": 0.1}, {"until": 0.1}])
+def test_an_outcome_that_means_nothing_in_an_environment_is_refused(limit):
+    target = Target("highway-fast-v0", "constant:FASTER")
+    with start_judge(target, 0) as executor, pytest.raises(InputError, match="'destination' means nothing") as refused:
+        estimate_rates(executor, logical_of_target(executor, target.env), 400, 0, goal=Goal("destination", **limit))
+    assert str(refused.value).endswith("name one of collision, lines, error, at-fault, failed")
+
+
+@pytest.mark.parametrize("name", ["colision", "at_fault", "", "collision_"])
+def test_an_unknown_outcome_is_refused_wherever_it_is_named(name, cruising):
+    found = Evaluation.of_outcomes([outcomes_of(trace) for trace in cruising[2]])
+    for ask in (
+        found.count,
+        found.rate,
+        found.interval,
+        Goal,
+        lambda name: board({"a": {"ads": "idm"}}, "x", outcome=name),
+    ):
+        with pytest.raises(InputError, match="Unknown outcome"):
+            ask(name)
+    assert found.count("collision: npc_wreck") == 0
 
 
 @pytest.mark.parametrize("ahead", [1, 5, 1024])
@@ -183,7 +235,7 @@ def test_a_driver_that_is_evaluated_is_confined(tmp_path, monkeypatch, capsys):
     command = [sys.executable, "-m", "behavexplor", "evaluate", "--env", "lane-follow", "--scenarios", "1"]
     command += ["--ads", "tests.test_evaluation:Diarist", "--workers", "1"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == OK
+    assert result.returncode == EXECUTION_FAILED
     assert "raised 100.0%" in " ".join(result.stdout.split())
     assert "without --unconfined, an ADS may neither write files nor use the network" in result.stderr
     assert not (tmp_path / "diary").exists()
@@ -257,8 +309,9 @@ def test_wrong_flags_are_refused(flag, value, capsys):
 
 def test_a_driver_that_fails_is_counted_and_kept_with_its_words(tmp_path, capsys):
     flags = ["--env", "lane-follow", "--ads", "tests.drivers:Lost", "--workers", "1", "--scenarios", "3"]
-    assert main(["evaluate", *flags, "--out", str(tmp_path)]) == OK
+    assert main(["evaluate", *flags, "--out", str(tmp_path)]) == EXECUTION_FAILED
     said = capsys.readouterr()
+    assert "The driver itself failed in every execution" in said.err
     assert "Warning: In the first scenarios, the ADS failed (invalid): predict must return finite" in said.err
     rows = {line.split()[0]: line.split()[1] for line in said.out.splitlines()[2:4]}
     assert rows == {"error": "100.0%", "invalid": "100.0%"}

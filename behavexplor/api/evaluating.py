@@ -20,7 +20,7 @@ from behavexplor.data.trace import ARRIVED
 from behavexplor.errors import InputError
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
-from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Goal
+from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Goal, check_outcome
 from behavexplor.judge.specs import SPECS
 from behavexplor.report.rendering import rendered
 from behavexplor.report.run_page import written
@@ -141,6 +141,7 @@ def board(
     Raises:
         InputError: if an argument or an entry cannot be used.
     """
+    check_outcome(outcome)
     entries, folder, cards = listed(policies), Path(out), []
     alpha = ALPHA / len(entries)
     for name, entry in entries.items():

@@ -31,27 +31,20 @@ from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import Target
-from behavexplor.data.trace import ARRIVED
-from behavexplor.errors import InputError, sentence, unknown_name
+from behavexplor.errors import InputError, sentence
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.evaluator import DRAWS
 from behavexplor.execution.start import check_ads, logical_of_target
-from behavexplor.judge.rates import ABOVE, AT_FAULT, BELOW, FAILED, KNOWN, Goal
-from behavexplor.judge.specs import ERROR, SPECS
+from behavexplor.judge.rates import ABOVE, BELOW, FAILED, KNOWN, Goal, check_outcome
+from behavexplor.judge.specs import ERROR
 
 SCENARIOS, DECIDING, MOST_SCENARIOS = 1000, 1_000_000, 10_000_000
 _CODES: Final = MappingProxyType({BELOW: OK, KNOWN: OK, ABOVE: CHECK_FAILED, "": UNDECIDED})
-_ENV: Final = CampaignConfig.env
 DRAWN: Final = "drawn actions"  # heading of a column
 DIFFERENT: Final = 0.01  # level of significance
 _CONSTANT: Final = "constant:"
 _CONTROLS: Final = MappingProxyType(
-    {
-        "careful": "careful",
-        "always SLOWER": "constant:SLOWER",
-        "always IDLE": "constant:IDLE",
-        "always FASTER": "constant:FASTER",
-    }
+    {"careful": "careful", **{f"always {name}": f"constant:{name}" for name in ("SLOWER", "IDLE", "FASTER")}}
 )
 
 
@@ -119,12 +112,15 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         return EXECUTION_FAILED
     _say_rates(config, found, folder, output)
     write_json(json_file, _values(config, found))
-    decision = found[Path(ads).name].decision
-    if decision is None:
-        return OK
-    tested = CaseResult(f"{decision.goal.outcome} below {below}", "" if decision.verdict == BELOW else decision.words)
-    write_junit(junit, f"evaluate {config.env}", [tested], {"ads": ads}, time.monotonic() - begun)
-    return _CODES[decision.verdict]
+    own = found[Path(ads).name]
+    decision = own.decision
+    if decision is not None:
+        case = CaseResult(f"{decision.goal.outcome} below {below}", "" if decision.verdict == BELOW else decision.words)
+        write_junit(junit, f"evaluate {config.env}", [case], {"ads": ads}, time.monotonic() - begun)
+    if own.counts.get(ERROR) == own.n:
+        say(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
+        return EXECUTION_FAILED
+    return OK if decision is None else _CODES[decision.verdict]
 
 
 def _say_rates(
@@ -161,9 +157,7 @@ def _ranked(policies: Path, out: Path | None, given: dict[str, Any], run: "_Run"
 
 def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None:
     """Return what is to be decided; None without a flag that asks for it."""
-    known = (ARRIVED, *(spec.name for spec in SPECS), ERROR, AT_FAULT, FAILED)
-    if outcome not in known:
-        raise unknown_name("outcome", outcome, known)
+    check_outcome(outcome)
     if below is None and until is None:
         return None
     return Goal(outcome, below, until)

@@ -21,7 +21,7 @@ from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.durable import write_durably
 from behavexplor.data.npc_motion import BEGIN, N_PHASE_COLUMNS, PHASE_SPEED, fill_phases, waypoint_array
 from behavexplor.data.scripted import NPC
-from behavexplor.exchange import axes, properties
+from behavexplor.exchange import axes, scenes
 from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest, scenario_digest
 
 AUTHOR: Final = "behavexplor"
@@ -106,12 +106,12 @@ def write_scene(
 
 
 def _facts(scene: SceneFile) -> dict[str, str]:
-    facts = {properties.ENVIRONMENT: scene.environment, properties.VEHICLES: str(len(scene.movers))}
+    facts = {scenes.ENVIRONMENT: scene.environment, scenes.VEHICLES: str(len(scene.movers))}
     if scene.env_config:
-        facts[properties.ENV_CONFIG] = json.dumps(dict(scene.env_config), sort_keys=True)
+        facts[scenes.ENV_CONFIG] = json.dumps(dict(scene.env_config), sort_keys=True)
     if scene.scenario is not None:
-        facts[properties.SCENARIO] = scene.scenario.to_json()
-        facts[properties.RECORDED] = scenario_digest(scene.scenario, len(scene.movers))
+        facts[scenes.SCENARIO] = scene.scenario.to_json()
+        facts[scenes.RECORDED] = scenario_digest(scene.scenario, len(scene.movers))
     return facts
 
 
@@ -150,9 +150,9 @@ def _vehicle(mover: Mover, digest: str, dialect: Dialect) -> Any:
         made.add_property("type", "ego_vehicle" if mover.name == EGO else "simulation")
         return made
     if mover.script is not None:
-        made.add_property(properties.ROUTE, mover.script.route)
-        made.add_property(properties.WAYPOINTS, properties.waypoint_text(mover.script))
-    made.add_property(properties.RECORDED, digest)
+        made.add_property(scenes.ROUTE, mover.script.route)
+        made.add_property(scenes.WAYPOINTS, scenes.waypoint_text(mover.script))
+    made.add_property(scenes.RECORDED, digest)
     return made
 
 

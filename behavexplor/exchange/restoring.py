@@ -16,8 +16,7 @@ from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario, scripted
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.exchange.axes import REAR_AXLE
-from behavexplor.exchange.properties import RECORDED, ROUTE, SCENARIO, WAYPOINTS
-from behavexplor.exchange.scenes import VEHICLE, Mover, SceneFile
+from behavexplor.exchange.scenes import RECORDED, ROUTE, SCENARIO, VEHICLE, WAYPOINTS, Mover, SceneFile
 
 MAX_DEVIATION: Final = 0.5  # greatest distance of a fitted motion from the trajectory [m]
 _POINTS: Final = 200  # points of a trajectory that are fitted

@@ -17,7 +17,7 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError, brief
-from behavexplor.exchange import axes, properties
+from behavexplor.exchange import axes, scenes
 from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest, scenario_digest
 from behavexplor.exchange.xml_files import Element, read_xml
 
@@ -109,11 +109,9 @@ def read_scene(path: Path) -> SceneFile:
     root = _parsed(path)
     facts = _properties(root.find("FileHeader"))
     scenario = _scenario(facts)
-    if scenario is not None and properties.ENV_CONFIG in facts and _config(facts[properties.ENV_CONFIG]):
-        raise InputError(
-            f"The property {properties.ENV_CONFIG} cannot be given: {properties.SCENARIO} has the configuration"
-        )
-    n_vehicles = int(facts[properties.VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(properties.VEHICLES, "")) else 0
+    if scenario is not None and scenes.ENV_CONFIG in facts and _config(facts[scenes.ENV_CONFIG]):
+        raise InputError(f"The property {scenes.ENV_CONFIG} cannot be given: {scenes.SCENARIO} has the configuration")
+    n_vehicles = int(facts[scenes.VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(scenes.VEHICLES, "")) else 0
     motions = {name: _Motion(name) for name in _names(root)}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         _motion(motions, private.get("entityRef"), private).begin(private)
@@ -124,14 +122,14 @@ def read_scene(path: Path) -> SceneFile:
         raise InputError(f"{path}: its first entity must be the vehicle named {EGO}")
     return SceneFile(
         title=root.find("FileHeader").get("description", ""),
-        environment=facts[properties.ENVIRONMENT],
-        env_config=_config(facts.get(properties.ENV_CONFIG, "{}")),
+        environment=facts[scenes.ENVIRONMENT],
+        env_config=_config(facts.get(scenes.ENV_CONFIG, "{}")),
         road_file=_road_file(root),
         movers=movers,
         is_ego_free=len(movers[0].time) == 1,
         scenario=scenario,
         n_vehicles=n_vehicles,
-        is_changed=scenario is not None and facts.get(properties.RECORDED) != scenario_digest(scenario, n_vehicles),
+        is_changed=scenario is not None and facts.get(scenes.RECORDED) != scenario_digest(scenario, n_vehicles),
     )
 
 
@@ -154,11 +152,11 @@ def _parsed(path: Path) -> Element:
     root = read_xml(path)
     kind = "an OpenSCENARIO catalog" if root.find("Catalog") is not None else _KINDS.get(root.tag, "another XML file")
     header = root.find("FileHeader")
-    if root.tag != _ROOT or header is None or properties.ENVIRONMENT not in _properties(header):
+    if root.tag != _ROOT or header is None or scenes.ENVIRONMENT not in _properties(header):
         raise InputError(
             f"{path} is {kind}, and not a scene of behavexplor's environments: only what `behavexplor export` has "
             f"written in OpenSCENARIO 1.2 can be taken, changed or not (its FileHeader has the property "
-            f"{properties.ENVIRONMENT})"
+            f"{scenes.ENVIRONMENT})"
         )
     _check_known(root)
     _insert_parameters(root)
@@ -216,12 +214,12 @@ def _motion(motions: dict[str, "_Motion"], name: str | None, element: Element) -
 def _config(text: str) -> dict[str, Any]:
     values = parse_json(text, "a configuration")
     if not isinstance(values, dict):
-        raise InputError(f"The property {properties.ENV_CONFIG} must be an object in JSON, got {brief(values)}")
+        raise InputError(f"The property {scenes.ENV_CONFIG} must be an object in JSON, got {brief(values)}")
     return values
 
 
 def _scenario(facts: dict[str, str]) -> Scenario | None:
-    return parse_scenario(facts[properties.SCENARIO]) if properties.SCENARIO in facts else None
+    return parse_scenario(facts[scenes.SCENARIO]) if scenes.SCENARIO in facts else None
 
 
 def _road_file(root: Element) -> str:
@@ -355,9 +353,9 @@ def _mover(entity: Element, motion: _Motion) -> Mover:
     facts, rows = _properties(vehicle), motion.rows
     kind = str(vehicle.get("name", ""))
     script = None
-    if properties.ROUTE in facts:
-        waypoints = facts.get(properties.WAYPOINTS, "")
-        script = properties.read_script(motion.name, kind, facts[properties.ROUTE], waypoints)
+    if scenes.ROUTE in facts:
+        waypoints = facts.get(scenes.WAYPOINTS, "")
+        script = scenes.read_script(motion.name, kind, facts[scenes.ROUTE], waypoints)
     ahead, aside = _number(center, "x"), _number(center, "y")
     mover = Mover(
         name=motion.name,
@@ -371,4 +369,4 @@ def _mover(entity: Element, motion: _Motion) -> Mover:
         center=(ahead, aside),
     )
     digest = motion_digest(mover, rows, np.array(motion.route), np.array(motion.profile))
-    return replace(mover, is_changed=facts.get(properties.RECORDED, "" if script is None else digest) != digest)
+    return replace(mover, is_changed=facts.get(scenes.RECORDED, "" if script is None else digest) != digest)

@@ -20,15 +20,24 @@ from behavexplor.data.durable import write_durably
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y, motion_table
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import LogicalScenario, Scenario
-from behavexplor.data.scripted import NPC
+from behavexplor.data.scripted import NPC, Waypoint
 from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError, brief
 from behavexplor.exchange.axes import DIGITS, mirrored, mirrored_points
 
 EGO: Final = "Ego"  # name of the ego; the other vehicles are NPC1, NPC2, ...
 VEHICLE: Final = "vehicle"  # type of a vehicle that is not scripted
 _PERIOD: Final = 0.05  # time between the points of a trajectory that goes on after the episode [s]
 _DIGEST_LENGTH: Final = 16  # hexadecimal digits
+# names of properties in a file: three of a scene, and those of its vehicles
+ENVIRONMENT: Final = "behavexplor:environment"
+ENV_CONFIG: Final = "behavexplor:env_config"
+SCENARIO: Final = "behavexplor:scenario"
+VEHICLES: Final = "behavexplor:vehicles"
+ROUTE: Final = "behavexplor:route"
+WAYPOINTS: Final = "behavexplor:waypoints"
+RECORDED: Final = "behavexplor:recorded"
 COLUMNS: Final = ("time", "vehicle", "type", "x", "y", "heading", "vx", "vy", "length", "width")
 
 
@@ -172,3 +181,28 @@ def write_table(scenario: Scenario, trace: Trace, path: Path) -> None:
     found = np.argwhere(present).tolist()
     rows = ([times[frame], *names[i], *motion[frame, i].tolist(), *sizes[i]] for frame, i in found)
     write_durably(path, csv_text(chain([COLUMNS], rows)))
+
+
+def waypoint_text(script: NPC) -> str:
+    """Return the position [m] and speed [m/s] of each waypoint as a text, from which `read_script` restores them."""
+    return ", ".join(f"{waypoint.position!r} {waypoint.speed!r}" for waypoint in script.waypoints)
+
+
+def read_script(name: str, kind: str, route: str, text: str) -> NPC:
+    """Return a scripted vehicle of this type, on the route of this name, with the waypoints in a `waypoint_text`.
+
+    `name`, that of the vehicle in its scene, is for error messages.
+
+    Raises:
+        InputError: if the text does not describe waypoints.
+    """
+    waypoints = []
+    for pair in text.split(","):
+        try:
+            position, speed = map(float, pair.split())
+        except ValueError:
+            raise InputError(
+                f"{name}: a waypoint is a position [m] and a speed [m/s], separated by a space, got {brief(pair)}"
+            ) from None
+        waypoints.append(Waypoint(position, speed))
+    return NPC(kind, route, tuple(waypoints))

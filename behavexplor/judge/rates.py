@@ -17,14 +17,23 @@ import numpy as np
 import scipy
 
 from behavexplor.data.array_types import Floats
-from behavexplor.errors import InputError
+from behavexplor.data.trace import ARRIVED
+from behavexplor.errors import InputError, unknown_name
+from behavexplor.judge.specs import ERROR, SPECS
 
 ALPHA: Final = 0.05  # probability of being wrong
 _EDGE: Final = 1e-12  # least distance of a rate from 0 and 1
 _BETS: Final = 16
 NON_INFERIOR, INFERIOR = "non-inferior", "inferior"
 AT_FAULT, FAILED = "at-fault", "failed"  # outcomes of a goal, beside those of an evaluation
+OUTCOMES: Final = (ARRIVED, *(spec.name for spec in SPECS), ERROR, AT_FAULT, FAILED)
 BELOW, ABOVE, KNOWN = "below", "above", "known"
+
+
+def check_outcome(name: str) -> None:
+    """Raise an `InputError` if there is no outcome of this name, which may go on with a detail, as "error: raised"."""
+    if name.partition(": ")[0] not in OUTCOMES:
+        raise unknown_name("outcome", name, OUTCOMES)
 
 
 def clopper_pearson(failed: int, n: int, alpha: float = ALPHA) -> tuple[float, float]:
@@ -82,7 +91,7 @@ class Goal:
     """What is to be known of the rate of an outcome before an evaluation ends.
 
     Raises:
-        InputError: if a value is out of range, or not exactly one of `below` and `until` is given.
+        InputError: if a value is unknown or out of range, or not exactly one of `below` and `until` is given.
     """
 
     # a name of `behavexplor.evaluation.Evaluation.counts`; `AT_FAULT` for failures by the driver's own fault, or
@@ -92,6 +101,7 @@ class Goal:
     until: float | None = None  # greatest half of the interval's width, as a share of the rate
 
     def __post_init__(self) -> None:
+        check_outcome(self.outcome)
         if (self.below is None) == (self.until is None):
             raise InputError("Give either below, a rate such as 0.001, or until, a share such as 0.2")
         for name, least in (("below", 1e-7), ("until", 0.01)):
@@ -111,14 +121,15 @@ class Decision:
 
     goal: Goal
     n: int
-    count: int  # number of those with the outcome
+    count: int  # number of those with the outcome, and of those in which the driver's program failed
     low: float  # lower end of the 95 % interval of the rate
     high: float  # upper end of it
+    errors: int = 0  # number of scenarios in which the driver's program failed, unless the outcome counts them anyway
 
     @classmethod
-    def of(cls, goal: Goal, n: int, count: int) -> Self:
-        """Return what is known after a number of scenarios."""
-        return cls(goal, n, count, *goal.sequence.interval(count, n))
+    def of(cls, goal: Goal, n: int, count: int, errors: int = 0) -> Self:
+        """Return what is known after a number of scenarios; see the fields for the other numbers."""
+        return cls(goal, n, count, *goal.sequence.interval(count, n), errors)
 
     @property
     def verdict(self) -> str:
@@ -134,9 +145,10 @@ class Decision:
         found = f"in {self.count} of {self.n} scenarios ({self.low:.3%} to {self.high:.3%}"
         if not self.count:
             found = f"in none of {self.n} scenarios (at most {self.high:.3%}"
+        outcome = f"{self.goal.outcome} or error" if self.errors else self.goal.outcome
         rate = f"{100 * (self.goal.below or 0.0):g} %"
         heads = {BELOW: f"Below {rate}", ABOVE: f"Above {rate}", KNOWN: "Known as precisely as wanted"}
-        return f"{heads.get(self.verdict, 'Not decided')}: {self.goal.outcome} {found}; 95 %, valid at any time)"
+        return f"{heads.get(self.verdict, 'Not decided')}: {outcome} {found}; 95 %, valid at any time)"
 
 
 class PairedSequence:

@@ -1,31 +1,22 @@
 """Fault of a collision: by the trace alone where it is clear, otherwise by whether the ego could have avoided it."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import scripted
-from behavexplor.data.trace import Trace
+from behavexplor.data.trace import OBSTACLE, PARTNER, Trace
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import R1, violation_event
-from behavexplor.judge.fault import AT_FAULT, contact_fault
-from behavexplor.triage.closed_loop import find_driver
-from behavexplor.triage.findings import OtherDriver, Witness
+from behavexplor.judge.fault import AT_FAULT, Fault, contact_fault
+from behavexplor.triage.closed_loop import Answer, find_driver
+from behavexplor.triage.findings import LastChance, OtherDriver, Witness
 from behavexplor.triage.witness import find_witness
 
-Kind = Literal[
-    "ego_cut_in",
-    "npc_rear_end",
-    "struck_stationary",
-    "npc_wreck",
-    "preventable",
-    "standing_still_avoids_it",
-    "unpreventable",
-    "other",
-]
+Kind = Fault | Answer  # by the trace, or by what other drivers and evasions tell
 
 
 @dataclass(frozen=True)
@@ -35,11 +26,11 @@ class Blame:
     # `ego_cut_in`, `npc_rear_end` or `struck_stationary` if the trace tells, as in
     # `behavexplor.judge.fault.contact_fault`. Otherwise:
     # - `preventable`: there is a witness.
-    # - `unpreventable`: nothing that was tried avoids the collision.
+    # - `unpreventable`: nothing that was tried avoids the collision; it is with a vehicle, and had no last chance.
     # - `standing_still_avoids_it`: in a highway-env environment, all drivers that avoid it fail otherwise, and one of
     #   them stands in the end.
-    # - `npc_wreck`, `other`: the same, but none of them stands; or nothing could be tried, because the environment
-    #   cannot run in lock-step.
+    # - `npc_wreck`, `other`: neither is known, or nothing could be tried, because the environment cannot run in
+    #   lock-step.
     kind: Kind
     in_junction: bool  # whether the ego was inside a junction; False in highway-env, where it is not known
     # evasion that avoids the collision, or in a highway-env environment another driver that keeps all its requirements;
@@ -53,16 +44,19 @@ class Blame:
         return self.kind in AT_FAULT
 
 
-def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.random.Generator) -> Blame | None:
+def blame(
+    simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.random.Generator, chance: LastChance | None = None
+) -> Blame | None:
     """Return the verdict on the collision at the end of an execution; None if the ego touches no vehicle there.
 
-    The ADS of the simulation is not used; the generator is for random evasions.
+    The ADS of the simulation is not used; the generator is for random evasions. `chance` is the ego's last chance to
+    avoid the collision, if it is known.
     """
     by_trace, event = contact_fault(trace), violation_event(trace, ("collision",))
     if by_trace is None or event is None or event.spec != R1:
         return None
     if simulation.logical.has_original:  # one of highway-env's own environments, whose vehicles react to the ego
-        return _blame_in_reactive_traffic(by_trace, scenario, rng)
+        return _blame_in_reactive_traffic(by_trace, scenario, trace, rng, chance)
     inside = in_junction(scripted(simulation.logical, "Blame").roadmap, trace)
     if by_trace != "other":  # scripted vehicles do not crash, so none is a wreck
         return Blame(by_trace, inside)
@@ -72,12 +66,17 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
     return Blame("unpreventable" if tried else "other", inside, None, tried)
 
 
-def _blame_in_reactive_traffic(by_trace: Kind, scenario: Any, rng: np.random.Generator) -> Blame:
+def _blame_in_reactive_traffic(
+    by_trace: Kind, scenario: Any, trace: Trace, rng: np.random.Generator, chance: LastChance | None
+) -> Blame:
     """Return the verdict on a crash in a highway-env environment, see `behavexplor.triage.closed_loop`."""
     if by_trace not in ("other", "npc_wreck"):
         return Blame(by_trace, in_junction=False)
     others = find_driver(scenario, rng)
     kind = by_trace if others.answer is None else others.answer  # None: they do not decide it
+    is_obstacle = PARTNER in trace.signals and trace.signals[PARTNER][-1] == OBSTACLE
+    if kind == "unpreventable" and (is_obstacle or chance is not None):  # that all of them crash, too, excuses nobody
+        kind = by_trace
     return Blame(kind, in_junction=False, witness=others.driver, tried=others.tried)
 
 

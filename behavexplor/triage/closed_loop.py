@@ -156,16 +156,10 @@ def _lock_step(setup: Setup, count: int) -> Any:
 
 
 def last_chance(simulation: Simulation, scenario: Any, trace: Trace) -> LastChance | None:
-    """Find the last chance to avoid the crash at the end of an execution.
+    """Find the last chance to avoid the crash at the end of an execution; the ADS of the simulation is not used.
 
-    Args:
-        simulation: simulation with the environment of the execution; its ADS is not used.
-        scenario: the executed scenario.
-        trace: its trace.
-
-    Returns:
-        The last chance; None if there is none among the last `MOST_BACK` decisions or it takes too long to find it, if
-        the execution ends otherwise, or if the environment has no compiled form or no meta-actions.
+    It is None if there is none among the last `MOST_BACK` decisions or it takes too long to find it, if the execution
+    ends otherwise, or if the environment has no compiled form or no meta-actions.
     """
     if trace.end != "collision" or not scenario.meta_actions:
         return None
@@ -181,12 +175,7 @@ def _branching(simulation: Simulation) -> "Branching | None":
 
 
 class Branching:
-    """Drives all actions from a state at the same time, each in its own sub-environment.
-
-    Args:
-        env: environment with a sub-environment for each action.
-        names: names of the actions.
-    """
+    """Drives all actions from a state at the same time, each in its own sub-environment; `names` are the actions'."""
 
     def __init__(self, env: DrawnVectorEnv, names: tuple[str, ...]) -> None:
         self._env, self._engine, self._names = env, env.engine, names
@@ -194,12 +183,7 @@ class Branching:
         self._left = 0  # branchings before the search is given up
 
     def search(self, scenario: DrawnScenario, actions: Ints) -> LastChance | None:
-        """Search the last chance in an episode that ended with a crash; see `last_chance`.
-
-        Args:
-            scenario: the executed scenario.
-            actions: the actions that were taken, shape (D,).
-        """
+        """Search the last chance after these actions, shape (D,), which ended with a crash; see `last_chance`."""
         states = self._states(scenario, actions)
         self._left = MOST_BRANCHINGS
         for back in range(1, min(len(states), MOST_BACK) + 1):

@@ -107,13 +107,14 @@ def examined(
     scenario = record.load_scenario()
     again = repeat(simulation, scenario, trace, specs)
     rng = np.random.default_rng([STREAM, seed, record.id])
-    verdict = blame(simulation, scenario, trace, rng)
+    chance = last_chance(simulation, scenario, trace) if again.same_trace else None
+    verdict = blame(simulation, scenario, trace, rng, chance)
     cause = find_cause(simulation, scenario, trace) if again.same_trace else None
     finding = replace(
         trace_finding(record, trace),
         same_verdict=again.same_verdict,
         same_trace=again.same_trace,
-        last_chance=last_chance(simulation, scenario, trace) if again.same_trace else None,
+        last_chance=chance,
         **_collision(verdict),
     )
     if cause is not None:

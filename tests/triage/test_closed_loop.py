@@ -6,13 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from behavexplor.campaign.record import Record
+from behavexplor.data.trace import OBSTACLE, PARTNER
 from behavexplor.envs.making import make_env
 from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.fault import contact_fault, is_at_fault
 from behavexplor.judge.specs import judge
-from behavexplor.triage import closed_loop
+from behavexplor.triage import blame as blame_module
+from behavexplor.triage import closed_loop, examination
 from behavexplor.triage.blame import blame
-from behavexplor.triage.closed_loop import CONSTANT, RANDOM, ScriptedDriver, drive_again, find_driver
-from behavexplor.triage.findings import witness_from, witness_values
+from behavexplor.triage.closed_loop import CONSTANT, RANDOM, OtherDrivers, ScriptedDriver, drive_again, find_driver
+from behavexplor.triage.findings import LastChance, witness_from, witness_values
 from tests.envs.highway import strange
 
 
@@ -52,6 +56,41 @@ def driven_by_others(monkeypatch, traces):
     )
     driver, _, found = find_driver(scenario, np.random.default_rng(0))
     return found if driver is None else driver.name
+
+
+def test_a_crash_that_all_others_share_excuses_the_ego_only_without_a_last_chance_and_with_a_vehicle(
+    merging, monkeypatch
+):
+    scenario = merging.logical.sample(np.random.default_rng(1))
+    trace, chance = merging.run(scenario), LastChance(1, "FASTER", ("SLOWER",))
+    monkeypatch.setattr(blame_module, "find_driver", lambda *_: OtherDrivers(None, 17, "unpreventable"))
+    wall = replace(trace, signals={**trace.signals, PARTNER: np.full(len(trace.time), OBSTACLE)})
+
+    def verdict(trace, chance=None):
+        return blame(merging, scenario, trace, np.random.default_rng(0), chance)
+
+    assert (verdict(trace).kind, verdict(trace).at_fault) == ("unpreventable", False)
+    for excused in (verdict(trace, chance), verdict(wall), verdict(wall, chance)):
+        assert excused.kind == contact_fault(trace) == "other"
+        assert is_at_fault(excused.kind)
+
+
+def test_the_last_chance_of_a_failure_is_part_of_its_verdict(merging, monkeypatch):
+    scenario = merging.logical.sample(np.random.default_rng(1))
+    trace, given = merging.run_compiled(scenario), []
+    monkeypatch.setattr(examination, "blame", lambda *args: given.append(args[-1]))
+    record = Record(
+        id=0,
+        origin="uniform",
+        parent=None,
+        end="collision",
+        violated=("collision",),
+        degrees={},
+        scenario=scenario.to_dict(),
+    )
+    finding, _ = examination.examined(merging, record, trace, seed=0)
+    assert given == [finding.last_chance]
+    assert finding.last_chance is not None
 
 
 def test_a_witness_keeps_every_requirement(monkeypatch):
