@@ -68,6 +68,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each choice
         raise InputError(
             f"An evaluation draws scenarios uniformly and has no use for {unused[0]}: give scenarios and seed"
         )
+    if scenarios < 1:
+        raise InputError(f"scenarios must be at least 1, got {scenarios}")
     given = given_driver(driver)
     name, changes = environment_of(given.trained_in(env) or CampaignConfig.env)
     values = {"env": name, "ads": given.name, "env_config": given_config(changes, env_config), **settings}

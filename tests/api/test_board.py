@@ -110,3 +110,9 @@ def test_trust_counts_only_if_the_user_gives_it(tmp_path):
     entry = {"a": {"ads": "idm", "env": "S1", "unconfined": True}}
     with pytest.raises(InputError, match="counts only on the command line"):
         behavexplor.board(entry, tmp_path, scenarios=1)
+
+
+@pytest.mark.parametrize("scenarios", [0, -5])
+def test_an_evaluation_of_no_scenarios_is_refused(scenarios):
+    with pytest.raises(InputError, match="scenarios must be at least 1"):
+        behavexplor.evaluate("constant:FASTER", "highway-fast-v0", scenarios=scenarios)
