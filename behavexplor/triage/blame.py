@@ -29,8 +29,7 @@ class Blame:
     # - `unpreventable`: nothing that was tried avoids the collision; it is with a vehicle, and had no last chance.
     # - `standing_still_avoids_it`: in a highway-env environment, all drivers that avoid it fail otherwise, and one of
     #   them stands in the end.
-    # - `npc_wreck`, `other`: neither is known, or nothing could be tried, because the environment cannot run in
-    #   lock-step.
+    # - `npc_wreck`, `other`: none of these; or nothing could be tried, because the environment cannot run in lock-step.
     kind: Kind
     in_junction: bool  # whether the ego was inside a junction; False in highway-env, where it is not known
     # evasion that avoids the collision, or in a highway-env environment another driver that keeps all its requirements;
