@@ -129,7 +129,9 @@ def test_what_is_said_to_fit_does_fit(name, tmp_path, capsys):
 def test_a_policy_of_another_environment_is_told_which(tmp_path):
     with gymnasium.make("behavexplor/lane-change-v0") as env:
         make_model("PPO", env.observation_space, env.action_space).save(tmp_path / "model")
-    with pytest.raises(InputError, match=r"It fits lane-change, lane-follow without a configuration: is"):
+    with pytest.raises(
+        InputError, match=r"It fits lane-change, lane-follow without a configuration: did --env mean that"
+    ):
         Simulation("intersection-straight", str(tmp_path / "model.zip"))
 
 
