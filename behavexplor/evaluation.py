@@ -82,7 +82,7 @@ class Evaluation:
         return cls(n, counts, failed=failed, at_fault=at_fault)
 
     def count(self, outcome: str) -> int:
-        """Return the number of scenarios with an outcome, one of `OUTCOMES`; an `InputError` refuses any other name."""
+        """Return how many scenarios had an outcome of `OUTCOMES` or `counts`; an `InputError` refuses other names."""
         if outcome not in self.counts:
             check_outcome(outcome)
         return {**self.counts, FAILED: self.failed, AT_FAULT: self.at_fault}.get(outcome, 0)

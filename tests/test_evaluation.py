@@ -152,7 +152,7 @@ def test_a_driver_whose_program_fails_is_never_below(outcome, tmp_path):
     assert 'failures="1"' in words
 
 
-def test_errors_among_other_outcomes_count_against_the_driver(cruising, monkeypatch):
+def test_errors_among_other_outcomes_count_against_the_driver(monkeypatch):
     """A program that fails in some scenarios does not arrive in them, and may have crashed there."""
     passed, failed = Outcomes(("arrived",), ("arrived", "collision"), False), outcomes_of_error("raised")
     monkeypatch.setattr(evaluation, "uniform_outcomes", lambda *_: iter([passed, failed] * 100))

@@ -85,7 +85,7 @@ def export(
 
 @contextmanager
 def _new_files(out: Path) -> Iterator[Path]:
-    """Yield an empty folder. Its files are moved to `out`, or none of them if `out` has a different file of a name."""
+    """Yield an empty folder. Its files are moved to `out` in the end, unless one would replace a different file."""
     with TemporaryDirectory(prefix=".export-", dir=folder_in(out)) as folder:
         yield Path(folder)
         files = {file: out / file.name for file in sorted(Path(folder).iterdir())}

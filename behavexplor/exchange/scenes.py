@@ -30,12 +30,11 @@ EGO: Final = "Ego"  # name of the ego; the other vehicles are NPC1, NPC2, ...
 VEHICLE: Final = "vehicle"  # type of a vehicle that is not scripted
 _PERIOD: Final = 0.05  # time between the points of a trajectory that goes on after the episode [s]
 _DIGEST_LENGTH: Final = 16  # hexadecimal digits
-# names of properties in a file: three of a scene, and those of its vehicles
-ENVIRONMENT: Final = "behavexplor:environment"
+ENVIRONMENT: Final = "behavexplor:environment"  # names of the properties of a file
 ENV_CONFIG: Final = "behavexplor:env_config"
 SCENARIO: Final = "behavexplor:scenario"
 VEHICLES: Final = "behavexplor:vehicles"
-ROUTE: Final = "behavexplor:route"
+ROUTE: Final = "behavexplor:route"  # names of the properties of a vehicle
 WAYPOINTS: Final = "behavexplor:waypoints"
 RECORDED: Final = "behavexplor:recorded"
 COLUMNS: Final = ("time", "vehicle", "type", "x", "y", "heading", "vx", "vy", "length", "width")

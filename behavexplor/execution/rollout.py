@@ -1,6 +1,6 @@
 """Episodes: an ADS drives concrete scenarios in an environment, one after the other or many in lock-step.
 
-Before that, how an ADS is asked; at the end, how its log of decisions is kept.
+Before that, how an ADS is asked, and how it draws its actions; at the end, how its log of decisions is kept.
 """
 
 import hashlib

@@ -132,7 +132,8 @@ class Simulation:
         Scripted vehicles are simulated in a compiled environment with one slot, if it supports the configuration, and
         highway-env's environments as they are.
         """
-        self._single = None if self.logical.has_original else self._single or self.lock_step(1)
+        if not self.logical.has_original:
+            self._single = self._single or self.lock_step(1)
         if self._single is None:
             return rollout(self.env, self.driver(1), scenario)
         self._single.give_up()  # ends the episode in which the driver has failed before, if it has
@@ -316,7 +317,7 @@ def brief_space(space: gymnasium.Space[Any]) -> str:
 def compile_kernels(env: str) -> None:
     """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step.
 
-    Highway-env's environments share one engine. An environment of another package has no kernels: it is only made.
+    All environments of highway-env share one engine. An environment of another package has no kernels: it is only made.
     """
     with_scripted_vehicles = {environment_id(name) for name in behavexplor.FUNCTIONAL_SCENARIOS}
     if environment_id(env) not in with_scripted_vehicles:

@@ -74,7 +74,7 @@ def _blame_in_reactive_traffic(
     others = find_driver(scenario, rng)
     kind = by_trace if others.answer is None else others.answer  # None: they do not decide it
     is_obstacle = PARTNER in trace.signals and trace.signals[PARTNER][-1] == OBSTACLE
-    if kind == "unpreventable" and (is_obstacle or chance is not None):  # that all of them crash, too, excuses nobody
+    if kind == "unpreventable" and (is_obstacle or chance is not None):  # others crash as well, which is no excuse
         kind = by_trace
     return Blame(kind, in_junction=False, witness=others.driver, tried=others.tried)
 

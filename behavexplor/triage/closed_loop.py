@@ -175,7 +175,7 @@ def _branching(simulation: Simulation) -> "Branching | None":
 
 
 class Branching:
-    """Drives all actions from a state at the same time, each in its own sub-environment; `names` are the actions'."""
+    """Drives all actions, by their names, from a state at the same time, each in its own sub-environment."""
 
     def __init__(self, env: DrawnVectorEnv, names: tuple[str, ...]) -> None:
         self._env, self._engine, self._names = env, env.engine, names
