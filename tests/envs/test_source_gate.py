@@ -26,7 +26,7 @@ from highway_env.vehicle.kinematics import Vehicle
 import behavexplor
 from behavexplor.envs import source_gate
 from behavexplor.envs.driving import DrivingEnv
-from behavexplor.envs.engine.vehicle_parameters import TRAFFIC
+from behavexplor.envs.engine.vehicle_parameters import TRAFFIC_PARAMETERS
 from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
 from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
@@ -56,7 +56,7 @@ def present_sources(owners):
 
 def test_highway_env_is_the_one_that_was_ported():
     present = json.dumps(present_sources([*classes_of_engines(), *MODULES]), indent=1)
-    assert not changes(classes_of_engines(), TRAFFIC), (
+    assert not changes(classes_of_engines(), TRAFFIC_PARAMETERS), (
         f"compare these with the port, then update source_digests.json: {present}"
     )
 
@@ -82,7 +82,7 @@ def test_every_name_is_noticed_before_and_after_an_environment_is_made(monkeypat
                 continue
             label = f"{owner.__name__.rpartition('.')[2]}.{name}"
             is_initial = owner is gymnasium.Env and name in ("render_mode", "spec")  # which environments replace
-            assert (label in changes(classes, TRAFFIC)) != (name in TRAFFIC or is_initial), label
+            assert (label in changes(classes, TRAFFIC_PARAMETERS)) != (name in TRAFFIC_PARAMETERS or is_initial), label
             if vars(owner)[name] is not changed:
                 with pytest.raises(InputError, match=f"{label} changed after the compiled environment was made"):
                     guard.check()
@@ -127,7 +127,7 @@ def test_what_the_file_of_another_release_adds_is_no_change(monkeypatch):
     ported["highway_env.road.lane"]["StraightLane"]["gone"] = "0" * 16
     del ported["highway_env.road.road"]["Road"]
     lane = type(IntersectionEnv().road.network.lanes_list()[0])
-    named = changes([IDMVehicle, ControlledVehicle, lane, Road], TRAFFIC)
+    named = changes([IDMVehicle, ControlledVehicle, lane, Road], TRAFFIC_PARAMETERS)
     assert named == (
         "IDMVehicle.act",
         "IDMVehicle.mobil",

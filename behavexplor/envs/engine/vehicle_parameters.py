@@ -40,13 +40,13 @@ _PARAMETERS: Final = {  # fields of `TRAITS`, and their names in highway-env
     "max_braking": "LANE_CHANGE_MAX_BRAKING_IMPOSED",
     "lane_change_delay": "LANE_CHANGE_DELAY",
 }
-TRAFFIC: Final = frozenset(  # parameters that are read from the classes of the traffic
+TRAFFIC_PARAMETERS: Final = frozenset(  # parameters that are read from the classes of the traffic
     {*_PARAMETERS.values(), "DELTA_RANGE", "ACCELERATION_PARAMETERS", "STEERING_PARAMETERS"}
 )
-_CHANGEABLE: Final = TRAFFIC | {"LENGTH", "WIDTH", "MIN_SPEED", "MAX_SPEED"}  # by subclasses
+_CHANGEABLE: Final = TRAFFIC_PARAMETERS | {"LENGTH", "WIDTH", "MIN_SPEED", "MAX_SPEED"}  # by subclasses
 _ACCELERATION_GAINS: Final = ("speed_gain", "front_speed_gain", "front_gap_gain")
 _STEERING_GAINS: Final = ("heading_gain", "offset_gain")
-Parameters = dict[type, dict[str, Any]]
+Parameters = dict[type, dict[str, Any]]  # by class and name
 
 
 def kind_of(cls: type[RoadObject]) -> int:
@@ -128,7 +128,7 @@ class VehicleClasses:
     """The parameters of highway-env's vehicle classes as one environment has left them.
 
     `IntersectionEnv` sets attributes of the class of its vehicles in each reset, and relies on them while it runs, so
-    it would change all others in the process. An environment begins with those that it finds, as without this class.
+    it would change all other environments. Each begins with the parameters that it finds, as without this class.
     """
 
     def __init__(self) -> None:
@@ -158,22 +158,22 @@ def kept_parameters() -> Iterator[None]:
 
 
 def parameters() -> Parameters:
-    """Return the parameters, which are named in capitals, by class."""
+    """Return the parameters of `IDMVehicle` and all its subclasses: their own attributes that are named in capitals."""
     found: Parameters = {}
     classes: list[type] = [IDMVehicle]
     while classes:
-        kind = classes.pop()
-        found[kind] = {name: value for name, value in vars(kind).items() if name.isupper()}
-        classes += kind.__subclasses__()
+        cls = classes.pop()
+        found[cls] = {name: value for name, value in vars(cls).items() if name.isupper()}
+        classes += cls.__subclasses__()
     return found
 
 
-def set_parameters(parameters: Parameters) -> None:
-    """Give the classes the parameters, and take from them those that are not named."""
-    for kind, wanted in parameters.items():
-        present = {name: value for name, value in vars(kind).items() if name.isupper()}
+def set_parameters(kept: Parameters) -> None:
+    """Give classes the parameters that `parameters` has returned, and remove those that they did not have then."""
+    for cls, wanted in kept.items():
+        present = {name: value for name, value in vars(cls).items() if name.isupper()}
         for name in present.keys() - wanted.keys():
-            delattr(kind, name)
+            delattr(cls, name)
         for name, value in wanted.items():
             if present.get(name, ...) is not value:
-                setattr(kind, name, value)
+                setattr(cls, name, value)

@@ -21,7 +21,7 @@ from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.lock_step_vector_env import LockStepVectorEnv
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.engine.state import NO_ROAD, make_scratch, make_slots
-from behavexplor.envs.engine.vehicle_parameters import TRAFFIC, classes_of_vehicles, kept_parameters
+from behavexplor.envs.engine.vehicle_parameters import TRAFFIC_PARAMETERS, classes_of_vehicles, kept_parameters
 from behavexplor.envs.highway import engine_making
 from behavexplor.envs.highway.config_check import check_config, has_own_starts, known_class
 from behavexplor.envs.highway.conversion import SlotState, slot_state
@@ -107,7 +107,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         with kept_parameters():
             self._single = env_class(dict(config or {}))
             classes = classes_of(self._single, classes_of_vehicles(self._single))
-            guard = guard_of(classes, TRAFFIC, TRAFFIC if self.places_own else frozenset())
+            guard = guard_of(classes, TRAFFIC_PARAMETERS, TRAFFIC_PARAMETERS if self.places_own else frozenset())
             self._engine = engine_making.make_engine(
                 self._single, number, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
             )
