@@ -25,7 +25,7 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
         guard: notices that classes have changed since the environment was made.
 
     Raises:
-        InputError: if there is no such mode, or the number is not one.
+        InputError: if there is no such mode, or `num_envs` is not a whole number from 1.
     """
 
     _options: ClassVar[tuple[str, ...]]  # of `reset`
@@ -33,7 +33,8 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
 
     def __init__(self, single: Any, num_envs: int, autoreset_mode: AutoresetMode | str, guard: ChangeGuard) -> None:
         COUNT.check("num_envs", num_envs)
-        mode, self._guard = chosen_mode(autoreset_mode), guard
+        mode = chosen_mode(autoreset_mode)
+        self._guard = guard
         self._resets_same_step = mode is AutoresetMode.SAME_STEP
         self._resets_next_step = mode is AutoresetMode.NEXT_STEP
         self.num_envs = num_envs
@@ -84,7 +85,6 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
         if self._idle:
             raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
         rewards, terminated, truncated, stepped, n_ended = self._decide(np.asarray(actions))
-        infos: dict[str, Any] | None = None
         if n_ended and self._resets_same_step:
             ended = terminated | truncated
             infos = self._last_infos(ended) | self._begin_again(stepped & ~ended, ended)
@@ -92,12 +92,12 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
             rested = ~stepped
             terminated[rested] = truncated[rested] = False
             infos = self._begin_again(stepped, rested)
-        if infos is None:
+        else:
             infos = self._infos(stepped)
         return self._observations.copy(), rewards, terminated, truncated, infos
 
     def _begin_again(self, stepped: Bools, begun: Bools) -> dict[str, Any]:
-        """Begin the next episodes in the chosen slots, and return the infos; see `_infos`."""
+        """Begin the next episodes in the slots `begun`, and return the infos; see `_infos`."""
         self._guard.check(always=False)
         self._begin(begun)
         return self._infos(stepped, begun)
@@ -127,13 +127,13 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
         """Simulate a decision in each slot whose episode has not ended, and observe it.
 
         Return arrays that the caller may change, each of shape (num_envs,): the rewards, whether the episodes have been
-        terminated and truncated, also earlier on, and whether they have taken a decision. Return also how many have
-        ended.
+        terminated and truncated, now or earlier, and whether they have taken this decision. Return also how many have
+        ended; those that ended earlier need not count.
         """
 
     @abstractmethod
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
-        """Return infos in gymnasium's format: arrays, each with a mask, shape (num_envs,), that says for whom it is."""
+        """Return infos of slots that took the step or have begun an episode: gymnasium's arrays, with their masks."""
 
 
 def chosen_mode(name: AutoresetMode | str) -> AutoresetMode:
