@@ -1,4 +1,4 @@
-"""Geometry of lanes: coordinates, headings, distances and the closest lane.
+"""Geometry of lanes: coordinates, headings, distances and the closest lane; and where vehicles are on lanes.
 
 Operations follow highway-env's own order, so that results are equal to the last bits.
 """
@@ -130,9 +130,8 @@ def is_after_end(lane: Lane, station: float) -> bool:
 def closest_lane(network: Network, likely: int, x: float, y: float, heading: float) -> tuple[int, float, float]:
     """Return the lane that is closest in position and heading, and the coordinates on it [m].
 
-    The lane is that of `RoadNetwork.get_closest_lane_index`.
-
-    A `likely` lane saves time, but does not change the result: the first of several that are equally close.
+    This is `RoadNetwork.get_closest_lane_index`: of several lanes that are equally close, the first. `likely` is a lane
+    that is probably close. It saves time, but does not change the result.
     """
     best, place = likely, lane_coordinates(network.lanes[likely], x, y)
     apart = _distance(network.lanes[likely], *place)
@@ -141,7 +140,7 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
         return best, *place
     nearest = _distance_with_heading(network.lanes[likely], *place, heading)
     for i in range(len(network.lanes)):
-        lane, is_near, near = network.lanes[i], near & 1, near >> 1
+        lane, is_near, near = network.lanes[i], near & 1, near >> 1  # bit i of `near`
         if not is_near or i == likely or is_farther(lane, x, y, nearest):
             continue
         found = lane_coordinates(lane, x, y)
@@ -153,7 +152,7 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
 
 @kernel_inner
 def _is_alone(network: Network, near: int, lane: int, x: float, y: float, limit: float) -> bool:
-    """Return whether the other lanes that are near are certainly farther from a point than a limit [m]."""
+    """Return whether all other lanes with a bit in `near` are certainly farther from a point than a limit [m]."""
     for i in range(len(network.lanes)):
         is_near, near = near & 1, near >> 1
         if not is_near or i == lane or is_farther(network.lanes[i], x, y, limit):
@@ -235,7 +234,7 @@ def update_lane(network: Network, scene: Scene, i: int) -> None:
 
 @kernel_inner
 def coordinates_on(network: Network, scene: Scene, i: int, lane: int) -> tuple[float, float]:
-    """Return the station and the offset of vehicle or obstacle i on a lane [m]."""
+    """Return the station and the offset of vehicle or obstacle i on a lane [m]; those on its closest lane are noted."""
     vehicle = scene.vehicles[i]
     if lane == vehicle.lane:
         return scene.scratch.stations[i], scene.scratch.offsets[i]

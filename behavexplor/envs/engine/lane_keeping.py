@@ -1,6 +1,6 @@
 """How vehicles steer, keep their speed, follow the road and take meta-actions.
 
-Ported from `ControlledVehicle`, `MDPVehicle` and `LinearVehicle`.
+Ported from `ControlledVehicle`, `MDPVehicle`, `LinearVehicle` and `RoadNetwork.next_lane`.
 """
 
 import math
@@ -32,7 +32,7 @@ KP_LATERAL: Final = float(ControlledVehicle.KP_LATERAL)  # [1/s]
 PURSUIT_TIME: Final = float(ControlledVehicle.TAU_PURSUIT)  # [s]
 MAX_STEERING: Final = float(ControlledVehicle.MAX_STEERING_ANGLE)  # [rad]
 SLOWEST: Final = 1e-2  # least speed in a denominator [m/s]
-_SAME_NUMBER: Final = int64(SAME_NUMBER)
+_SAME_NUMBER: Final = int64(SAME_NUMBER)  # as an argument of a kernel
 
 
 @kernel_inner
@@ -98,7 +98,7 @@ def keep_lane_and_speed(
 def follow_road(network: Network, vehicle: Vehicle, route: Records, station: float) -> None:
     """Give a vehicle near the end of its target lane the next one: `ControlledVehicle.follow_road`.
 
-    `station` is that on the target lane [m], and `route`, shape (steps,), has the records `ROUTE_STEP`.
+    `station` is that on the target lane [m], and `route` is the vehicle's, shape (steps,) of `ROUTE_STEP`.
     """
     if is_after_end(network.lanes[vehicle.target_lane], station):
         vehicle.target_lane = _advance_on_route(network, vehicle, route, station)

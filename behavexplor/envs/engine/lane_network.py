@@ -59,10 +59,10 @@ ROAD: Final = record_type(
 
 LINK: Final = record_type(
     lane=np.int64,
-    offset=np.float64,  # added to a station on that lane: the station along the first lane [m]
+    offset=np.float64,  # the station along the lane whose link it is, less that on the linked lane [m]
 )
 
-# If a point is at most this far from a lane [m], every lane that is not `near` that one is farther, at any heading.
+# If a point is at most this far from a lane [m], it is farther from each lane not `near` this one, at any heading.
 NEAR_LIMIT: Final = 2.0
 ALL_NEAR: Final = -1  # every bit is set
 MOST_BITS: Final = 62  # greatest number of lanes that have a bit each; with more, all count as near
@@ -118,7 +118,7 @@ def make_network(
     lanes = np.zeros(sum(len(group) for _, group in roads), LANE).view(np.recarray)
     table = np.zeros(len(roads), ROAD).view(np.recarray)
     exits: list[int] = []
-    first = 0  # lane of the road
+    first = 0  # number of the road's first lane
     for road, ((origin, target), group) in enumerate(roads):
         ends = [nodes.setdefault(node, len(nodes)) for node in (origin, target)]
         following = [numbers[target, node] for node in network.graph.get(target, {})]
@@ -132,7 +132,9 @@ def make_network(
         first += len(group)
     links = _link(network, lanes, connected_lanes=connected_lanes)
     lanes["near"] = _near_lanes(lanes)
-    return Network(lanes.view(np.ndarray), table.view(np.ndarray), np.array(exits, dtype=np.int64), links)
+    return Network(
+        lanes=lanes.view(np.ndarray), roads=table.view(np.ndarray), exits=np.array(exits, np.int64), links=links
+    )
 
 
 def _roads(network: RoadNetwork) -> Iterator[tuple[tuple[str, str], list[AbstractLane]]]:
@@ -192,8 +194,8 @@ def _near_lanes(lanes: Records) -> list[int]:
     """Return the bits `near` of each lane.
 
     A point's distance from a lane, in highway-env's measure, is at least that from its center line. So if a point is r
-    from one lane, and the center lines are d apart, it is at least d - r from the other. If d is more than
-    2 r + pi, that is more than r + pi: the distance from the first one and any difference of headings.
+    from one lane, and the center lines are d apart, it is at least d - r from the other. If d is more than 2 r + pi,
+    that is more than r + pi: the distance from the first lane plus the greatest difference of headings.
     """
     if len(lanes) > MOST_BITS:
         return [ALL_NEAR] * len(lanes)
@@ -213,7 +215,7 @@ def _lanes_within(lanes: bytes, reach: float) -> list[list[int]]:
     slack = 1.1 * np.linalg.norm(np.diff(lines, axis=1), axis=2).max(axis=1, initial=0.0) / 2
     found = []
     for i, line in enumerate(lines):
-        points, others = line - lines[i, 0], lines - lines[i, 0]
+        points, others = line - lines[i, 0], lines - lines[i, 0]  # from its start, so that less is rounded
         # squared distances of all samples, shape (lanes, samples of the other, samples of this one)
         square = (points**2).sum(1) + (others**2).sum(2)[:, :, None] - 2 * others @ points.T
         apart = np.sqrt(square.min(axis=(1, 2)).clip(0.0)) - slack - slack[i]
