@@ -27,8 +27,8 @@ COLUMN: Final = record_type(
     is_relative=np.bool_,  # to the ego
     is_ranged=np.bool_,  # mapped from its range to [-1, 1]
     depends_on_road=np.bool_,  # the range depends on the number of lanes of the ego's first road
-    low=np.float64,
-    width=np.float64,
+    low=np.float64,  # of the range
+    width=np.float64,  # of the range
 )
 
 OPTIONS: Final = record_type(
@@ -43,8 +43,8 @@ OPTIONS: Final = record_type(
     behind=np.float64,  # vehicles further behind are not observed, unless all are [m]
     exit_lane=np.int64,  # lane along which the ego's x is measured, or NOT_A_LANE
 )
-N_SHOWN: Final = 3  # speeds, and lanes, of the observation
-DEPTH: Final = 3  # roads ahead on which vehicles are considered
+N_SHOWN: Final = 3  # speeds, and lanes, of a TimeToCollision observation
+DEPTH: Final = 3  # roads ahead on which it considers vehicles
 
 
 class View(NamedTuple):
@@ -96,7 +96,7 @@ def _make_columns(observation: KinematicObservation) -> Records:
 
 @kernel_inner
 def observe(network: Network, view: View, scene: Scene, table: Singles) -> None:
-    """Fill a Kinematics observation, shape (vehicles_count, features), in highway-env's order even if "shuffled"."""
+    """Fill a Kinematics observation, shape (vehicles_count, features). If it is "shuffled", the caller does that."""
     options, ego = view.options[0], scene.episode.ego
     n_seen = _sort_seen(network, view, scene, len(table) - 1)
     table[:] = 0.0
@@ -118,7 +118,7 @@ def observe(network: Network, view: View, scene: Scene, table: Singles) -> None:
 
 @kernel_inner
 def _sort_seen(network: Network, view: View, scene: Scene, most: int) -> int:
-    """List the vehicles that get a row in the scratch memory, and return their number: `Road.close_objects_to`."""
+    """List in the scratch memory which vehicles get a row, at most `most`; return how many: `Road.close_objects_to`."""
     options, ego = view.options[0], scene.vehicles[scene.episode.ego]
     lane, seen = network.lanes[ego.lane], scene.scratch.on_lane[0]
     own, _ = lane_coordinates(lane, ego.x, ego.y)
@@ -203,14 +203,14 @@ def _lane_offset(network: Network, vehicle: Vehicle, feature: int) -> float:
 
 
 class GridMemory(NamedTuple):
-    """Memory for the observation."""
+    """Memory for a TimeToCollision observation."""
 
     grid: Singles  # cost of each cell, shape (speeds, lanes, times), with the lanes of the widest road
     stack: Ints  # roads that are still to be searched, shape (3 x roads + 1, 3)
 
 
 def make_memory(network: Network, n_speeds: int, n_times: int) -> GridMemory:
-    """Create the memory for observations of `n_speeds` speeds and `n_times` times."""
+    """Create the memory for TimeToCollision observations of `n_speeds` speeds and `n_times` times."""
     n_lanes = max(road.n_lanes for road in network.roads)
     stack = np.zeros((DEPTH * len(network.roads) + 1, 3), dtype=np.int64)
     return GridMemory(np.zeros((n_speeds, n_lanes, n_times), dtype=np.float32), stack)
@@ -220,9 +220,10 @@ def make_memory(network: Network, n_speeds: int, n_times: int) -> GridMemory:
 def observe_times(
     network: Network, scene: Scene, speeds: Floats, period: float, memory: GridMemory, observation: Singles
 ) -> None:
-    """Fill a TimeToCollision observation, shape (9, times): three target speeds times three lanes.
+    """Fill a TimeToCollision observation, shape (9, times): when the ego would meet others, by speed and lane.
 
-    `speeds` are the ego's target speeds [m/s], `period` is the duration of a cell [s], and the memory is overwritten.
+    Its rows are three target speeds times three lanes. `speeds` are the ego's target speeds [m/s], `period` is the
+    duration of a cell [s], and the memory is overwritten.
     """
     ego = scene.vehicles[scene.episode.ego]
     lane = network.lanes[ego.lane]
