@@ -1,4 +1,4 @@
-"""Convert actions to the commands of the kernels: acceleration and steering, or the code of a maneuver.
+"""Check actions, and convert them to the commands of the kernels: acceleration and steering, or a maneuver.
 
 What a maneuver does is in `lane_keeping.take_maneuver`.
 """
@@ -84,10 +84,10 @@ class _ContinuousCommands:
 
 @kernel_in_place
 def _fill_commands(actions: Floats, scales: Floats, clip: bool, is_single: bool, first: int, commands: Floats) -> None:
-    """Fill in the commands of actions, shape (B, numbers).
+    """Fill in the commands of actions, shape (B, numbers), computed in single precision if `is_single`.
 
-    The rows of `scales` are the least command and the range of each number. Its command is in the column `first` or
-    after it.
+    The rows of `scales` are the least command of each number and the width of its range. Number i determines the column
+    `first + i` of the commands.
     """
     for b in range(len(actions)):
         for i in range(actions.shape[1]):

@@ -8,7 +8,7 @@ from behavexplor.jit import kernel_inner
 
 @kernel_inner
 def move(vehicle: Vehicle, traits: Traits, dt: float) -> float:
-    """Advance a vehicle by `dt` [s] by the bicycle model, and return its slip angle [rad]. Its lane is not updated."""
+    """Advance a vehicle by `dt` [s]: `Vehicle.step`, but its lane is not updated. Return the slip angle [rad]."""
     _limit_commands(vehicle, traits)
     speed, heading, slip = vehicle.speed, vehicle.heading, 0.0
     if vehicle.steering == 0.0:  # most vehicles go straight on; the formulas below give the same

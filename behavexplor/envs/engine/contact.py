@@ -82,7 +82,7 @@ def _collide_pair(vehicle: Vehicle, traits: Traits, other: Vehicle, other_traits
     motion_y = vehicle.speed * vehicle.sin * dt - other.speed * other.sin * dt
     is_now, is_soon, push_x, push_y = _contact(a, b, motion_x, motion_y)
     if is_soon:
-        parts = 1.0 if other_traits.kind == OBSTACLE else 2.0
+        parts = 1.0 if other_traits.kind == OBSTACLE else 2.0  # an obstacle does not move
         vehicle.impact_x, vehicle.impact_y, vehicle.has_impact = push_x / parts, push_y / parts, True
         if other_traits.kind != OBSTACLE:
             other.impact_x, other.impact_y, other.has_impact = -push_x / 2, -push_y / 2, True
@@ -109,7 +109,7 @@ def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, 
     push_x = push_y = 0.0
     for side in range(8):
         xs, ys = a if side < 4 else b
-        start, end = (side + 2) % 4, (side + 3) % 4  # in the order of `RoadObject.polygon`, for equal gaps
+        start, end = (side + 2) % 4, (side + 3) % 4  # as in `RoadObject.polygon`: the first of equal gaps counts
         nx, ny = -ys[end] + ys[start], xs[end] - xs[start]
         norm = math.sqrt(nx * nx + ny * ny)
         nx, ny = nx / norm, ny / norm

@@ -25,7 +25,7 @@ THING: Final = record_type(
     y=np.float64,
     heading=np.float64,  # [rad]
     speed=np.float64,  # [m/s]
-    lane=np.int64,  # the closest one, in the order of `RoadNetwork.lanes_dict`; NO_LANE for an obstacle
+    lane=np.int64,  # number of the closest one, in the order of `RoadNetwork.lanes_dict`; NO_LANE for an obstacle
     target_lane=np.int64,  # the lane that it steers for; NO_LANE if it steers for none
     crashed=np.bool_,
 )
@@ -44,10 +44,7 @@ class FrameLog(NamedTuple):
 
 
 def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
-    """Create an empty log of some frames for each slot, with room for a number of vehicles and obstacles.
-
-    If `n_frames` is 0, nothing is ever logged. If `n_places` is 1, only the ego is.
-    """
+    """Create an empty log. If `n_frames` is 0, nothing is ever logged; if `n_places` is 1, only the egos are."""
     return FrameLog(np.zeros((n_slots, n_frames), FRAME), np.zeros((n_slots, n_frames, n_places), THING))
 
 

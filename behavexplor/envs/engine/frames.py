@@ -1,4 +1,4 @@
-"""Simulate one decision: the ego's command, then frames of decisions, right of way, motion and collisions."""
+"""Simulate one decision: the ego's command, then frames, each of driving, right of way, motion and collisions."""
 
 import math
 from typing import Final
@@ -38,7 +38,7 @@ PREDICTION_STEP: Final = 0.25  # time between predictions [s]
 
 @kernel_inner
 def give_command(world: World, scene: Scene, first: float, second: float) -> None:
-    """Begin a decision: count it, and give the ego its command.
+    """Begin a decision: add its time and frames to the episode's, and give the ego its command.
 
     `first` is the ego's acceleration [m/s2], and `second` its steering [rad]; for meta-actions, the first is the index
     of the maneuver in `MANEUVERS`.
@@ -55,9 +55,9 @@ def give_command(world: World, scene: Scene, first: float, second: float) -> Non
 
 @kernel_inner
 def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, frames: Records, things: Records) -> None:
-    """Simulate some frames: `Road.act` and `Road.step`, and log them in rows of the arrays of `FrameLog`.
+    """Simulate frames, each by `Road.act` and `Road.step`, and log them.
 
-    The log has no frames beyond its length.
+    `frames` and `things` are rows of `FrameLog`. Frames for which they have no room are not logged.
     """
     episode = scene.episode
     note_places(network, scene)

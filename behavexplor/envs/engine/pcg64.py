@@ -29,7 +29,7 @@ Words = NDArray[np.uint64]
 N_WORDS = 8
 HIGH, LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF, NEXT_GIVEN, N_GIVEN = range(N_WORDS)
 
-TWO, THREE, FOUR = int64(2), int64(3), int64(4)
+TWO, THREE, FOUR = int64(2), int64(3), int64(4)  # as arguments of kernels
 
 _MULTIPLIER_HIGH: Final = np.uint64(0x2360ED051FC65DA4)
 _MULTIPLIER_LOW: Final = np.uint64(0x4385DF649FCCF645)

@@ -1,4 +1,4 @@
-"""Decisions of the reactive traffic: `IDMVehicle` and `LinearVehicle`.
+"""Decisions of the reactive traffic, `IDMVehicle` and `LinearVehicle`, and the neighbors that they look at.
 
 IDM is the Intelligent Driver Model (Treiber et al., 2000), which gives the acceleration. MOBIL (Kesting et al., 2007)
 decides about changes of lane.
@@ -162,7 +162,7 @@ def _free_acceleration(network: Network, scene: Scene, traits: Traits, i: int) -
 def _acceleration(network: Network, scene: Scene, traits: Traits, i: int, front: int, free: float) -> float:
     """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
 
-    The driver, with `traits`, drives vehicle i, which need not be its own. `front` is the vehicle in front of it, or
+    `traits` are the driver's, who need not be that of vehicle i. `front` is the vehicle in front of vehicle i, or
     `NO_VEHICLE`; `free` is what the driver would want on a free road [m/s2].
     """
     if front == NO_VEHICLE or (scene.traits[i].kind == OBSTACLE and traits.kind != LINEAR):

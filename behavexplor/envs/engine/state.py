@@ -19,7 +19,7 @@ RecordType: TypeAlias = np.dtype[np.record]
 
 
 def record_type(**fields: type) -> RecordType:
-    """Create the type of a record of fields, in their order in memory."""
+    """Create the type of a record from the types of its fields, in their order in memory."""
     return cast("RecordType", np.dtype((np.record, np.dtype(list(fields.items()), align=True))))
 
 
@@ -79,7 +79,7 @@ TRAITS: Final = record_type(
     heading_gain=np.float64,  # STEERING_PARAMETERS of LINEAR
     offset_gain=np.float64,
     speed_exponent=np.float64,  # 2; the compiler would replace a constant by a product, which rounds differently
-    checks_collisions=np.bool_,
+    checks_collisions=np.bool_,  # also of the other kinds
     changes_lanes=np.bool_,
 )
 
@@ -120,7 +120,7 @@ class Scratch(NamedTuple):
     predictions: Floats  # the vehicles' predicted positions [m] and headings [rad], shape (N, times, 3)
     stations: Floats  # station of each vehicle and obstacle on its closest lane [m], shape (N,)
     offsets: Floats  # offset from it [m], shape (N,)
-    copy: Records  # a vehicle, shape (1,) of `VEHICLE`
+    copy: Records  # a vehicle whose motion is predicted, shape (1,) of `VEHICLE`
     xs: Floats  # positions along x [m], shape (N,)
 
 
@@ -141,7 +141,7 @@ N_PREDICTIONS: Final = 11  # times at which `RegulatedRoad` predicts positions
 
 
 def make_slots(n_slots: int, n_places: int, n_steps: int) -> Slots:
-    """Create slots without vehicles, with room for some vehicles and obstacles and for the steps of a route."""
+    """Create slots without vehicles, each with room for `n_places` vehicles and obstacles and `n_steps` of a route."""
     return Slots(
         episodes=np.zeros(n_slots, EPISODE),
         vehicles=np.zeros((n_slots, n_places), VEHICLE),

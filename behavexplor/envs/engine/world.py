@@ -1,6 +1,6 @@
 """An environment's road and rules as tables, for the kernels, and new vehicles on the road.
 
-Vehicles are placed as the constructors of highway-env's vehicle classes do, with their routes and drawn behaviors.
+New vehicles are as the constructors of highway-env's classes make them; routes and drawn behaviors come afterwards.
 """
 
 import math
@@ -70,8 +70,8 @@ class World(NamedTuple):
 def make_world(env: AbstractEnv, is_goal: Callable[[LaneIndex], bool] = lambda _: False) -> World:
     """Return the road and rules of a highway-env environment that has been reset.
 
-    The parameters of the traffic are those that highway-env's classes have at this moment: `IntersectionEnv` changes
-    them for the whole process.
+    For `is_goal`, see `make_network`. The parameters of the traffic are those that highway-env's classes have at this
+    moment: `IntersectionEnv` changes them for the whole process.
 
     Raises:
         InputError: if the environment has lanes, vehicles or actions that the engine does not know.
@@ -89,10 +89,10 @@ def make_world(env: AbstractEnv, is_goal: Callable[[LaneIndex], bool] = lambda _
 
 
 def _check_road(env: AbstractEnv) -> None:
-    """Check that the road is one of highway-env's."""
+    """Raise an `InputError` if the road or its network behaves differently from highway-env's."""
     for thing, known in ((env.road, (RegulatedRoad, Road)), (env.road.network, (RoadNetwork,))):
         parent = next((parent for parent in type(thing).__mro__ if parent in known), None)
-        changed = f"{type(thing).__name__}" if parent is None else replaced(type(thing), parent, {"__init__"})
+        changed = type(thing).__name__ if parent is None else replaced(type(thing), parent, {"__init__"})
         if changed is not None:
             raise InputError(
                 f"The compiled engine does not know {changed}; use gymnasium.make_vec with vectorization_mode='sync'"
@@ -116,7 +116,7 @@ def _target_speeds(env: AbstractEnv) -> Floats:
     if isinstance(action, DiscreteMetaAction):
         return np.array(action.target_speeds, dtype=np.float64)
     if isinstance(action, ContinuousAction):
-        return np.zeros(2)
+        return np.zeros(2)  # never read without meta-actions
     raise InputError(
         f"The compiled engine does not know the action {type(action).__name__}; it knows DiscreteMetaAction, "
         f"DiscreteAction and ContinuousAction; use gymnasium.make_vec with vectorization_mode='sync'"
@@ -136,9 +136,9 @@ def _make_templates(env: AbstractEnv) -> Records:
 
 @kernel_inner
 def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float, heading: float, speed: float) -> int:
-    """Add a vehicle behind all others in the list, and return its place.
+    """Add a vehicle after all others in the list, and return its place. There must be no obstacles yet.
 
-    The template is AS_EGO or AS_OTHER. The speed is also the target speed. There must be no obstacles yet.
+    The template is AS_EGO or AS_OTHER, x and y are in m, and the heading is in rad. The speed [m/s] is also the target.
     """
     i: int = scene.episode.n_vehicles
     scene.episode.n_vehicles = i + 1
@@ -173,7 +173,7 @@ def place_on_lane(world: World, scene: Scene, template: int, lane: int, station:
 
 @kernel_inner
 def place_nearby(world: World, scene: Scene, words: Words, lane: int, station: float, speed: float) -> int:
-    """Add a vehicle around a station of a lane, with a standard deviation of 2 m and 2 m/s."""
+    """Add traffic near a station [m] of a lane: station and speed have standard deviations of 2 m and 2 m/s."""
     station += normal(words) * 2.0
     return place_on_lane(world, scene, AS_OTHER, lane, station, speed + normal(words) * 2.0)
 
