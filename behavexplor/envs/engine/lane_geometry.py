@@ -133,12 +133,12 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
     This is `RoadNetwork.get_closest_lane_index`: of several lanes that are equally close, the first. `likely` is a lane
     that is probably close. It saves time, but does not change the result.
     """
-    best, place = likely, lane_coordinates(network.lanes[likely], x, y)
-    apart = _distance(network.lanes[likely], *place)
+    best, coordinates = likely, lane_coordinates(network.lanes[likely], x, y)
+    apart = _distance(network.lanes[likely], *coordinates)
     near = network.lanes[likely].near if apart <= NEAR_LIMIT else ALL_NEAR
     if _is_alone(network, near, likely, x, y, apart + math.pi):  # at any heading
-        return best, *place
-    nearest = _distance_with_heading(network.lanes[likely], *place, heading)
+        return best, *coordinates
+    nearest = _distance_with_heading(network.lanes[likely], *coordinates, heading)
     for i in range(len(network.lanes)):
         lane, is_near, near = network.lanes[i], near & 1, near >> 1  # bit i of `near`
         if not is_near or i == likely or is_farther(lane, x, y, nearest):
@@ -146,8 +146,8 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
         found = lane_coordinates(lane, x, y)
         distance = _distance_with_heading(lane, *found, heading)
         if distance < nearest or (distance == nearest and i < best):
-            best, nearest, place = i, distance, found
-    return best, *place
+            best, nearest, coordinates = i, distance, found
+    return best, *coordinates
 
 
 @kernel_inner
