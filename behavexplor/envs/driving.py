@@ -18,12 +18,13 @@ from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.engine.actions import check_actions
+from behavexplor.envs.engine.lock_step_vector_env import chosen_options
 from behavexplor.envs.env_config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.observation_types import Kinematics, SceneObservation
 from behavexplor.envs.plain_simulation import MapViewer, PlainSimulation
 from behavexplor.envs.source_gate import ChangedError, ChangeGuard, classes_of, guard_of, replaced_in
 from behavexplor.envs.tasks.scripted_episodes import OneSlot, odd_action, odd_method, odd_observation
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError
 
 RENDER_MODES = ("human", "rgb_array")
 _OF_OUTCOMES = frozenset({"_reward", "_rewards", "_is_terminated", "_is_truncated", "_info"})  # which `step` calls
@@ -182,11 +183,7 @@ class DrivingEnv(PlainSimulation):
             InputError: if the scenario cannot be run in this environment, or an option is unknown.
         """
         gymnasium.Env.reset(self, seed=seed)
-        options = options or {}
-        for key in options:
-            if key != "scenario":
-                raise unknown_name("reset option", str(key), ["scenario"])
-        scenario = options.get("scenario")
+        scenario = chosen_options(options, ("scenario",)).get("scenario")
         if scenario is None:
             scenario = self.logical.sample(self.np_random)
         if not isinstance(scenario, ScriptedScenario):

@@ -124,18 +124,24 @@ class DrivingVectorEnv(LockStepVectorEnv):
             speeds, terms = np.where(stepped, self._episodes.speeds, 0.0), np.where(stepped, self._terms, 0.0)
             rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, stepped)
             infos = {"speed": speeds, "_speed": stepped, "rewards": rewards, "_rewards": stepped}
-        if self._n_ended and (done := stepped & (self._episodes.ends != RUNNING)).any():
-            ends, traces = np.full((2, self.num_envs), None, dtype=object)
-            for b in done.nonzero()[0].tolist():
-                ends[b] = ENDS[self._episodes.ends[b]]
-                traces[b] = self._episodes.ending(b) if self.short_traces else self._episodes.trace(b)
-            infos |= {"end": ends, "_end": done, "trace": traces, "_trace": done}
+        if self._n_ended:
+            infos |= self._end_infos(stepped & (self._episodes.ends != RUNNING))
         if begun is not None:
             scenarios = np.full(self.num_envs, None, dtype=object)
             for b in begun.nonzero()[0].tolist():
                 scenarios[b] = self.scenarios[b]
             infos |= {"scenario": scenarios, "_scenario": begun}
         return infos
+
+    def _end_infos(self, done: Bools) -> dict[str, Any]:
+        """Return what infos have besides for episodes that have just ended; nothing if there are none."""
+        if not done.any():
+            return {}
+        ends, traces = np.full((2, self.num_envs), None, dtype=object)
+        for b in done.nonzero()[0].tolist():
+            ends[b] = ENDS[self._episodes.ends[b]]
+            traces[b] = self._episodes.ending(b) if self.short_traces else self._episodes.trace(b)
+        return {"end": ends, "_end": done, "trace": traces, "_trace": done}
 
     def _given(self, options: Mapping[str, Any], mask: Bools) -> tuple[Sequence[ScriptedScenario | None]]:
         del mask
