@@ -42,8 +42,8 @@ class ScriptedEpisodes:
         self._n_waypoints = self.slots.phases.shape[2] - 1
         self._commands = make_commands(env.action_type)
         self._weights = env.config["reward"]
-        self._seen = self._observed(env.observation_type)
-        self.observes = bool(self._seen)  # whether the engine knows the observation
+        self._observe_arguments = self._arguments_for(env.observation_type)
+        self.observes = bool(self._observe_arguments)  # whether the engine knows the observation
         space = env.observation_space
         self.observations: Array = np.zeros((n_slots, *(space.shape or ())), dtype=space.dtype)
         self._compile(n_slots)
@@ -88,7 +88,7 @@ class ScriptedEpisodes:
 
     def observe(self, chosen: Bools) -> None:
         """Renew the observations of the chosen slots, shape (n_slots,)."""
-        self._observe_slots(*self._seen, chosen, self.observations)
+        self._observe_slots(*self._observe_arguments, chosen, self.observations)
 
     def terms(self, active: Bools) -> Floats:
         """Return the terms of the rewards of the latest decision; see `behavexplor.envs.tasks.scripted_outcome`."""
@@ -124,7 +124,7 @@ class ScriptedEpisodes:
         has_touched = 0 <= run["line_frame"] < run["frame"]
         return None if has_touched or ENDS[run["end"]] != ARRIVED else self.trace(b, max(int(run["frame"]) - 1, 0))
 
-    def _observed(self, observation: Any) -> tuple[Any, ...]:
+    def _arguments_for(self, observation: Any) -> tuple[Any, ...]:
         """Return the arguments of the kernel that observes; none if the engine does not know the observation."""
         if type(observation) is SceneObservation:
             return (self.slots,)
@@ -143,8 +143,9 @@ class ScriptedEpisodes:
         mask = np.zeros(n_slots, dtype=bool)
         given = np.zeros((n_slots, self._n_values)), np.zeros((n_slots, 2)), mask, np.zeros((2, n_slots), dtype=bool)
         self._step_slots: Any = compiled_for(step, self.world, self.slots, *given, WHOLE)
-        observe: Any = observe_scene if len(self._seen) == 1 else observe_kinematics
-        self._observe_slots: Any = compiled_for(observe, *self._seen, mask, self.observations) if self._seen else None
+        if self.observes:
+            observe: Any = observe_scene if len(self._observe_arguments) == 1 else observe_kinematics
+            self._observe_slots: Any = compiled_for(observe, *self._observe_arguments, mask, self.observations)
         npcs = npc_arrays([], self.logical.roadmap, self._n_waypoints)
         self._begin_slots = compiled_for(begin_episodes, self.world, self.slots, np.flatnonzero(mask), *npcs)
         table = np.empty((1, 1, N_COLUMNS))
