@@ -162,7 +162,12 @@ def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     for key in _WITHOUT_EFFECT:
         if changed[key] is not config[key]:
             raise InputError(f"{key}: {kinds.shown(changed[key])} has no effect in these environments; leave it out")
-    _check_times(changed)
+    simulation, policy = changed["simulation_frequency"], changed["policy_frequency"]
+    if simulation % policy:
+        raise InputError(
+            f"simulation_frequency {simulation} must be a multiple of policy_frequency {policy}: "
+            f"each decision lasts a whole number of simulation steps"
+        )
     return changed
 
 
@@ -191,15 +196,6 @@ def changed_logical(logical: ScriptedLogicalScenario, changes: Mapping[str, Any]
     if 2 * other.end_gap > shortest:
         raise InputError(f"logical.end_gap: {other.end_gap} leaves no room to start in a lane of {shortest:g} m")
     return other
-
-
-def _check_times(config: Mapping[str, Any]) -> None:
-    simulation, policy = config["simulation_frequency"], config["policy_frequency"]
-    if simulation % policy:
-        raise InputError(
-            f"simulation_frequency {simulation} must be a multiple of policy_frequency {policy}: "
-            f"each decision lasts a whole number of simulation steps"
-        )
 
 
 def _check_observation(what: str, config: object, types: Mapping[str, type | None]) -> None:

@@ -60,10 +60,9 @@ OBSERVATIONS = MappingProxyType(
         "TimeToCollision": observations.TimeToCollisionObservation,
     }
 )
-STARTS = frozenset(  # methods that make the road and the first vehicles
-    {"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"}
-)
-_OWN = STARTS | {"__init__"}  # which a subclass may replace
+# Methods that make the road and the first vehicles, which a subclass may replace.
+STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
+_OWN = STARTS | {"__init__"}
 
 
 def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], changes: object) -> None:

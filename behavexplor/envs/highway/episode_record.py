@@ -14,9 +14,8 @@ Where nothing is said, it means nothing: in junctions, a vehicle that drives wel
 on a two-way road it may overtake. A subclass counts as its parent does.
 
 The trace also tells, by lanes, what the ego does, and where the vehicle is into which it crashes. A vehicle's place is
-the lane that is closest to it, or the one at which it aims if that lies on another road: in a junction, the closest
-lane is often one that only crosses. A vehicle aims at the next road of its route while it is still on its own; until it
-has left that, its place is there.
+its closest lane, or the one at which it aims if that lies on another road: in a junction, the closest lane is often one
+that only crosses. A vehicle aims at the next road of its route before it has left its own, and stays there until then.
 """
 
 import math

@@ -150,7 +150,8 @@ class HighwayVectorEnv(LockStepVectorEnv):
     def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools, int]:
         n_ended = self._advance(DECISION, self._everywhere, actions)
         self._taken = actions.copy()
-        self._decided = numbers, flags = self._results.numbers.copy(), self._results.flags.copy()
+        numbers, flags = self._results.numbers.copy(), self._results.flags.copy()
+        self._decided = numbers, flags
         return numbers[REWARD], flags[TERMINATED], flags[TRUNCATED], flags[STEPPED], n_ended
 
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
