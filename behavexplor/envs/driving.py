@@ -18,15 +18,16 @@ from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.engine.actions import check_actions
+from behavexplor.envs.engine.lock_step_vector_env import chosen_options
 from behavexplor.envs.env_config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.observation_types import Kinematics, SceneObservation
 from behavexplor.envs.plain_simulation import MapViewer, PlainSimulation
 from behavexplor.envs.source_gate import ChangedError, ChangeGuard, classes_of, guard_of, replaced_in
 from behavexplor.envs.tasks.scripted_episodes import OneSlot, odd_action, odd_method, odd_observation
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError
 
 RENDER_MODES = ("human", "rgb_array")
-_OF_OUTCOMES = frozenset({"_reward", "_rewards", "_is_terminated", "_is_truncated", "_info"})  # methods of objects
+_OF_OUTCOMES = frozenset({"_reward", "_rewards", "_is_terminated", "_is_truncated", "_info"})  # which `step` calls
 
 
 class DrivingEnv(PlainSimulation):
@@ -126,14 +127,14 @@ class DrivingEnv(PlainSimulation):
     scenario: ScriptedScenario
     viewer: MapViewer | None
     observation_type: Any  # highway-env has no annotations
-    _has_new_config = True
+    _has_new_config = True  # whether the spaces must be made again
     _has_begun = False
-    _is_made = False
+    _is_made = False  # False while highway-env's constructor resets the environment
     _road: Road | None = None
     _egos: list[Vehicle]
     _is_shown = False  # whether there are vehicles that show the running episode
-    _slot: OneSlot | None = None
-    _guard: ChangeGuard | None = None
+    _slot: OneSlot | None = None  # the episode in the engine; None if it runs on highway-env's objects
+    _guard: ChangeGuard | None = None  # of the classes for which the engine stands
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
         self.metadata = {"render_modes": list(RENDER_MODES)}
@@ -175,18 +176,14 @@ class DrivingEnv(PlainSimulation):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode.
 
-        `options` has the concrete scenario to run, under the key `scenario`. Without it a scenario is sampled
-        by a generator that `seed` seeds.
+        `options` has the concrete scenario to run, under the key `scenario`. Without it, a scenario is sampled;
+        `seed` seeds the generator that samples.
 
         Raises:
             InputError: if the scenario cannot be run in this environment, or an option is unknown.
         """
         gymnasium.Env.reset(self, seed=seed)
-        options = options or {}
-        for key in options:
-            if key != "scenario":
-                raise unknown_name("reset option", str(key), ["scenario"])
-        scenario = options.get("scenario")
+        scenario = chosen_options(options, ("scenario",)).get("scenario")
         if scenario is None:
             scenario = self.logical.sample(self.np_random)
         if not isinstance(scenario, ScriptedScenario):
@@ -212,29 +209,26 @@ class DrivingEnv(PlainSimulation):
 
     def _begin(self) -> None:
         """Begin the episode in the engine, or on highway-env's objects if it does not support this environment."""
-        obstacle = self._obstacle()
-        if obstacle is None:
+        unsupported = self._unsupported()
+        if unsupported is None:
             self._slot = self._slot or OneSlot(self)
             self._is_shown = False
             self._slot.begin(self.scenario)
             return
         self._slot = None
-        _say_plain(type(self), obstacle)
+        _report_plain_simulation(type(self), unsupported)
         self._show()
 
-    def _obstacle(self) -> str | None:
-        """Return why the engine cannot simulate this environment; None if it can."""
-        obstacle = (
-            odd_method(self, DrivingEnv, _OF_OUTCOMES)
-            or odd_action(self.action_type)
-            or replaced_in(self, _OF_OUTCOMES)
-        )
-        if obstacle:
-            return obstacle
-        by_engine = odd_observation(self.observation_type) is None
+    def _unsupported(self) -> str | None:
+        """Return what the engine does not support of this environment; None if it can simulate it."""
+        odd = odd_method(self, DrivingEnv, _OF_OUTCOMES) or odd_action(self.action_type)
+        odd = odd or replaced_in(self, _OF_OUTCOMES)
+        if odd:
+            return odd
+        engine_observes = odd_observation(self.observation_type) is None
         try:
             if self._guard is None or not self._guard.is_current():
-                classes = classes_of(self, map(type, self.road.vehicles), with_observation=by_engine)
+                classes = classes_of(self, map(type, self.road.vehicles), with_observation=engine_observes)
                 self._guard = guard_of(classes)
         except ChangedError as error:
             return f"this program: the {error.reason}"
@@ -356,18 +350,18 @@ class DrivingEnv(PlainSimulation):
         return super().render()  # type: ignore[no-any-return]
 
 
-_said: set[tuple[type, str]] = set()
+_reported: set[tuple[type, str]] = set()
 
 
-def _say_plain(env_class: type, obstacle: str) -> None:
+def _report_plain_simulation(env_class: type, unsupported: str) -> None:
     """Report, once for each reason, that an environment is simulated on highway-env's objects.
 
     The report is a log message of level WARNING, so that it shows without any logging configuration.
     """
-    if (env_class, obstacle) not in _said:
-        _said.add((env_class, obstacle))
+    if (env_class, unsupported) not in _reported:
+        _reported.add((env_class, unsupported))
         logging.getLogger(__name__).warning(
             "%s is simulated on highway-env's objects, many times as slow as compiled: the engine does not support %s",
             env_class.__name__,
-            obstacle,
+            unsupported,
         )

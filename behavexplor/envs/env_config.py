@@ -97,7 +97,7 @@ _WITHOUT_EFFECT = {  # highway-env's keys; they stay in the `config`, since high
     "show_trajectories",
 }
 _LOGICAL_KEYS = {entry.name for entry in fields(ScriptedLogicalScenario)} - {"name", "roadmap"}
-STOCK_OBSERVATIONS: Final = MappingProxyType(
+HIGHWAY_OBSERVATIONS: Final = MappingProxyType(  # all types, for highway-env's own environments
     {
         **{name: kind for name, kind in OBSERVATIONS.items() if kind is not None},
         "AttributesObservation": observations.AttributesObservation,
@@ -106,12 +106,12 @@ STOCK_OBSERVATIONS: Final = MappingProxyType(
         "MultiAgentObservation": observations.MultiAgentObservation,
     }
 )
-STOCK_ACTIONS: Final = MappingProxyType({**ACTIONS, "MultiAgentAction": actions.MultiAgentAction})
-_OF_HIGHWAY_ENV: Final = "highway_env."
+HIGHWAY_ACTIONS: Final = MappingProxyType({**ACTIONS, "MultiAgentAction": actions.MultiAgentAction})
+_OF_HIGHWAY_ENV: Final = "highway_env."  # how the names of its modules begin
 
 
 def default_config(simulator: Mapping[str, Any], logical: ScriptedLogicalScenario) -> dict[str, Any]:
-    """Return the default configuration of an environment."""
+    """Return the default configuration of an environment; `simulator` is highway-env's own."""
     config = dict(simulator) | {
         "observation": default_observation(logical),
         "action": {"type": "ContinuousAction"},
@@ -162,7 +162,12 @@ def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     for key in _WITHOUT_EFFECT:
         if changed[key] is not config[key]:
             raise InputError(f"{key}: {kinds.shown(changed[key])} has no effect in these environments; leave it out")
-    _check_times(changed)
+    simulation, policy = changed["simulation_frequency"], changed["policy_frequency"]
+    if simulation % policy:
+        raise InputError(
+            f"simulation_frequency {simulation} must be a multiple of policy_frequency {policy}: "
+            f"each decision lasts a whole number of simulation steps"
+        )
     return changed
 
 
@@ -191,15 +196,6 @@ def changed_logical(logical: ScriptedLogicalScenario, changes: Mapping[str, Any]
     if 2 * other.end_gap > shortest:
         raise InputError(f"logical.end_gap: {other.end_gap} leaves no room to start in a lane of {shortest:g} m")
     return other
-
-
-def _check_times(config: Mapping[str, Any]) -> None:
-    simulation, policy = config["simulation_frequency"], config["policy_frequency"]
-    if simulation % policy:
-        raise InputError(
-            f"simulation_frequency {simulation} must be a multiple of policy_frequency {policy}: "
-            f"each decision lasts a whole number of simulation steps"
-        )
 
 
 def _check_observation(what: str, config: object, types: Mapping[str, type | None]) -> None:
@@ -231,8 +227,8 @@ def _types(observation: Mapping[str, Any]) -> list[str]:
 def check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
     """Check the configuration of an observation or action: highway-env reads every key, and needs no other.
 
-    `what` says for error messages what it configures, such as "observation". `types` are highway-env's classes by the
-    names that it may have.
+    `what` is "observation" or "action", for messages perhaps with the place of a part. `types` are highway-env's
+    classes by the names that the key `type` may have.
 
     Raises:
         InputError: if a key is unknown or missing, or a value is out of range.
@@ -290,16 +286,15 @@ def check_space_keys(env: AbstractEnv, config: Mapping[str, Any]) -> None:
     if not type(env).define_spaces.__module__.startswith(_OF_HIGHWAY_ENV):
         return
     features = frozenset({*(env.vehicle.to_dict() if env.vehicle is not None else ()), "on_road"})
-    for what, types in (("observation", STOCK_OBSERVATIONS), ("action", STOCK_ACTIONS)):
+    for what, types in (("observation", HIGHWAY_OBSERVATIONS), ("action", HIGHWAY_ACTIONS)):
         if what in config:
             keys = UNREAD_KEYS[what].union(env.config[what], *map(_parameters, types.values()))
-            _check(what, config[what], _Known(types, keys, features))
+            _check_known(what, config[what], _Known(types, keys, features))
 
 
-def _check(what: str, settings: object, known: _Known) -> None:
+def _check_known(what: str, config: object, known: _Known) -> None:
     """Check the configuration of an observation or action, and of its parts."""
-    if not isinstance(settings, Mapping):
-        raise InputError(f"{what}: expected keys and values, got {kinds.shown(settings)}")
+    settings = _mapping(what, config)
     if "type" not in settings:
         raise InputError(
             f"{what} needs a type, such as {next(iter(known.types))}: highway-env keeps none of its default"
@@ -315,7 +310,7 @@ def _check(what: str, settings: object, known: _Known) -> None:
             if str(feature) not in known.features:
                 raise unknown_name(f"feature in {what}.{key}", str(feature), known.features)
     for place, part in _parts(settings):
-        _check(f"{what}.{place}", part, known)
+        _check_known(f"{what}.{place}", part, known)
 
 
 def _parts(settings: Mapping[str, Any]) -> Iterator[tuple[str, object]]:

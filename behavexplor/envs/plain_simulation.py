@@ -1,4 +1,4 @@
-"""Simulation on highway-env's objects of what the compiled engine does not support, with its record; and pictures."""
+"""Scripted episodes on highway-env's own objects, where the compiled engine does not support them; and pictures."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -45,15 +45,15 @@ class Recorder:
 
     def __init__(self, roadmap: RoadMap, time: Floats, motion: Floats, sizes: Sequence[tuple[float, float]]) -> None:
         self._roadmap = roadmap
-        self._time = time
-        self._motion = motion
-        self._sizes = np.array(sizes)
+        self._time = time  # of the simulation steps, shape (T,) [s]
+        self._motion = motion  # the NPCs' motion table at these times, shape (T, n_npcs, 5)
+        self._sizes = np.array(sizes)  # length and width, the ego's first, shape (1 + n_npcs, 2) [m]
         self._radii = np.hypot(*self._sizes.T) / 2
-        self._ego: list[tuple[float, float, float, float, float]] = []
+        self._ego: list[tuple[float, float, float, float, float]] = []  # a `POSE` in each frame
         self._actions: list[Floats] = []
         self._action_frames: list[int] = []
-        self._standing = 0
-        self._line_frame: int | None = None
+        self._standing = 0  # frames for which the ego has stood still
+        self._line_frame: int | None = None  # in which the ego first touched an illegal line
         self._lines = _line_columns(roadmap.illegal_lines)
 
     def frame(self, ego: Vehicle) -> None:

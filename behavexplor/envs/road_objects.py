@@ -205,8 +205,10 @@ def place_ego(make: Callable[..., Vehicle], road: Road, pose: Floats, route: lis
     """Create the ego, at rest at the start of its route.
 
     highway-env's own collision response is switched off: it flags collisions too early or without contact, and pushes
-    vehicles apart. The environment computes contact instead. `make` is the vehicle class of highway-env's action type,
-    the pose x [m], y [m] and heading [rad].
+    vehicles apart. The environment computes contact instead.
+
+    `make` is the vehicle class of highway-env's action type, `pose` is x [m], y [m] and heading [rad], and `route` has
+    highway-env's indexes of the lanes that the ego follows.
     """
     ego = _ego_class(make)(road, pose[:2], heading=float(pose[2]), speed=0.0)
     set_size(ego, EGO_SIZE)
@@ -226,7 +228,7 @@ def _ego_class(make: Callable[..., Vehicle]) -> Callable[..., Vehicle]:
 
 
 class ScriptedVehicle(Vehicle):  # type: ignore[misc]
-    """An NPC that plays back its motion table, shape (T, 5), one row for each step of the simulation."""
+    """An NPC of a length and a width [m], which plays back its motion table, shape (T, 5), a row in each step."""
 
     def __init__(self, road: Road, size: tuple[float, float], motion: Floats, route: list[LaneIndex]) -> None:
         self._motion = motion

@@ -139,9 +139,9 @@ class HighwayVecEnv(LockStepVecEnv):
 
         make_vec_env("highway-fast-v0", n_envs=64, vec_env_cls=HighwayVecEnv)
 
-    The environment of the first function shows which one, in which configuration, all of them make. A `TimeLimit` and a
-    `Monitor` around it apply to every sub-environment. If the monitor writes a file, it contains the episodes of all of
-    them. Further functions are called only if they might make another environment than the first; those of
+    The first function is called to find out which environment, in which configuration, all of them make. A `TimeLimit`
+    and a `Monitor` around it apply to every sub-environment. If the monitor writes a file, it contains the episodes of
+    all of them. Further functions are called only if they might make another environment than the first; those of
     `make_vec_env` differ in their seeds alone.
 
     Args:
@@ -294,11 +294,7 @@ class ScenarioVecEnv(LockStepVecEnv):
 
 
 def _check_alike(single: gymnasium.Env[Any, Any], env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]]) -> None:
-    """Check that functions make the same environment as the first of them, which has made `single`.
-
-    Raises:
-        InputError: if one makes another.
-    """
+    """Refuse functions that make another environment than the first one, which has made `single`."""
     if all(getattr(make, "__module__", None) == make_vec_env.__module__ for make in env_fns):
         return  # those of one `make_vec_env` differ in their seeds alone
     made: Any = single.unwrapped

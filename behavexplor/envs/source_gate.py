@@ -30,23 +30,24 @@ Owner: TypeAlias = type | ModuleType  # what has functions and constants
 Ported: TypeAlias = dict[str, dict[str, dict[str, str]]]  # digest or value by module, class ("": none) and name
 
 MODULES: Final = (utils, grids, observations, actions)  # whose functions were ported, too
-DRAWING: Final = frozenset(  # of an environment, which change pictures only
+_DRAWING: Final = frozenset(  # attributes of an environment that change pictures only
     {"metadata", "render", "close", "update_metadata", "set_record_video_wrapper", "_automatic_rendering"}
 )
-REWARDS: Final = frozenset({"_reward", "_rewards"})  # which drivers are not told
-READ: Final = frozenset({"default_config"})  # of an environment, which the engine reads when it is made
+REWARDS: Final = frozenset({"_reward", "_rewards"})  # methods for the reward, which drivers are not told
 # Parameters of `IDMVehicle`, and the values that `IntersectionEnv` sets in this class.
 OF_INTERSECTION: Final = MappingProxyType(
     {"DISTANCE_WANTED": (10.0, 7), "COMFORT_ACC_MAX": (3.0, 6), "COMFORT_ACC_MIN": (-5.0, -3)}
 )
-_SKIPPED: Final = DRAWING | READ | {"_abc_impl", "track_config_path"}  # the last only words errors about configurations
-_RARELY: Final = 8  # calls of `ChangeGuard.check` for a look
+# What `default_config` returns is read when an engine is made; `track_config_path` only words errors about it.
+_SKIPPED: Final = _DRAWING | {"_abc_impl", "default_config", "track_config_path"}
+_PACKAGES: Final = ("highway_env", "behavexplor", "gymnasium")  # whose classes are compared with what was ported
+_RARELY: Final = 8  # `ChangeGuard.check` may look at only one in so many calls
 _PORTED: Final = Path(__file__).with_name("source_digests.json")
 _VALUE: Final = "= "  # before a value, which may look like a digest otherwise
 
 
 def classes_of(env: AbstractEnv, vehicles: Iterable[type], *, with_observation: bool = True) -> tuple[type, ...]:
-    """Return the classes that an environment consists of, with their parents."""
+    """Return the classes that an environment and its vehicles consist of, with their parents."""
     lanes = {type(lane): None for lane in env.road.network.lanes_list()}
     things = [env, env.road, env.road.network, *([env.observation_type] if with_observation else []), env.action_type]
     parents = {parent: None for one in (*map(type, things), *lanes, *vehicles) for parent in one.__mro__}
@@ -56,19 +57,20 @@ def classes_of(env: AbstractEnv, vehicles: Iterable[type], *, with_observation: 
 def changes(classes: Iterable[type], read: Collection[str] = ()) -> tuple[str, ...]:
     """Return the names of functions and constants of classes that are others than those that were ported.
 
-    A class of a user's own package has none: whether the engine supports it is checked elsewhere.
+    `read` names constants that an engine reads when it is made, so they may be others. A class of a user's own package
+    has no changes: whether the engine supports it is checked elsewhere.
     """
     pairs = ((owner, name) for owner in (*classes, *MODULES) for name in _changes_of(owner) if name not in read)
     return *(f"{_short(owner)}.{name}" for owner, name in pairs), *_changed_imports()
 
 
 def replaced(cls: type, known: type, allowed: Collection[str] = ()) -> str | None:
-    """Return the name of something that a subclass replaces, such as "MyEnv.step"; None if there is nothing."""
+    """Return what a subclass of `known` replaces but may not, such as "MyEnv.step"; None if there is nothing."""
     attributes = {name for parent in known.__mro__ for name in _attributes(parent)}
     free = {*allowed, "__str__", "__repr__"}
     for base in cls.__mro__[: cls.__mro__.index(known)]:
         for name, value in vars(base).items():
-            hides = hasattr(type(value), "__set__") and name in attributes
+            hides = hasattr(type(value), "__set__") and name in attributes  # as a property hides it
             if name not in free and _is_rule(name, value) and (hasattr(known, name) or hides):
                 return f"{base.__name__}.{name}"
     return None
@@ -76,7 +78,7 @@ def replaced(cls: type, known: type, allowed: Collection[str] = ()) -> str | Non
 
 def replaced_in(env: object, allowed: Collection[str] = ()) -> str | None:
     """Return the name of a method that a program has replaced in an object, such as "HighwayEnv._reward", or None."""
-    for name in vars(env).keys() - DRAWING - set(allowed):
+    for name in vars(env).keys() - _DRAWING - set(allowed):
         parent = next((parent for parent in type(env).__mro__ if name in vars(parent)), None)
         if parent is not None and _codes(vars(parent)[name]) is not None:
             return f"{type(env).__name__}.{name}"
@@ -102,12 +104,12 @@ class ChangeGuard:
     """Notices that classes change after an environment was made from them.
 
     An `IntersectionEnv` that is made or reset elsewhere in the process changes nothing that counts: the compiled
-    environment keeps the parameters that its vehicles had when it was made.
+    environment keeps the parameters that its vehicles had when it was made. Names in `exempt` may change, too.
     """
 
     def __init__(self, classes: Iterable[type], exempt: frozenset[str] = frozenset()) -> None:
         self._classes, self._exempt, self._n_calls = tuple(classes), exempt, 0
-        self._views = [vars(owner).values() for owner in (*self._classes, *MODULES)]
+        self._views = [vars(owner).values() for owner in (*self._classes, *MODULES)]  # which follow every change
         self._values = tuple(map(tuple, self._views))
         self._facts, self._texts = self._present_facts(), self._present_texts()
 
@@ -152,7 +154,7 @@ class ChangeGuard:
             f"{_short(owner)}.{name}": _codes(value) or _text(value)
             for owner in (*self._classes, *MODULES)
             for name, value in vars(owner).items()
-            if name not in self._exempt and _counts(owner, name, value) and not _is_of_intersection(name, value)
+            if name not in self._exempt and _matters(owner, name, value) and not _is_of_intersection(name, value)
         }
 
     def __deepcopy__(self, _: object) -> Self:
@@ -170,7 +172,8 @@ def guard_of(
 ) -> ChangeGuard:
     """Check that an environment consists of what the engine was ported from, and return the guard of its classes.
 
-    A guard that was made before is taken again if nothing has changed, since the comparison takes milliseconds.
+    `read` names constants that the engine reads, which may be others; those in `exempt` may also change later. A guard
+    that was made before is taken again if nothing has changed, since the comparison takes milliseconds.
 
     Raises:
         ChangedError: if it does not. The message names what is different.
@@ -184,7 +187,7 @@ def guard_of(
     return known
 
 
-def _counts(owner: Owner, name: str, value: object) -> bool:
+def _matters(owner: Owner, name: str, value: object) -> bool:
     """Return whether a name may change how an environment behaves.
 
     Attributes in which a user's class keeps its own state do not.
@@ -193,8 +196,8 @@ def _counts(owner: Owner, name: str, value: object) -> bool:
         return False
     if isinstance(owner, ModuleType):
         return type(value) is FunctionType and value.__module__ == owner.__name__  # `isinstance` loads late modules
-    is_known = _package(owner) in ("highway_env", "behavexplor", "gymnasium")
-    return is_known or _codes(value) is not None or any(name in vars(parent) for parent in owner.__mro__[1:])
+    hides = any(name in vars(parent) for parent in owner.__mro__[1:])
+    return _package(owner) in _PACKAGES or _codes(value) is not None or hides
 
 
 def _is_of_intersection(name: str, value: object) -> bool:
@@ -207,15 +210,16 @@ def _is_rule(name: str, value: object) -> bool:
 
 
 def _changes_of(owner: Owner) -> Iterator[str]:
+    """Yield the names in a class or a module that stand for something else than what was ported."""
     module, package = _module(owner), _package(owner)
-    if package not in ("highway_env", "behavexplor", "gymnasium"):
+    if package not in _PACKAGES:
         return
     ported = ported_sources().get(module, {}).get(_qualname(owner))
     if package == "highway_env" and ported is None:
         yield "__class__"  # a class that the engine does not know
         return
     ported = ported or {}
-    present = {name: value for name, value in vars(owner).items() if _counts(owner, name, value)}
+    present = {name: value for name, value in vars(owner).items() if _matters(owner, name, value)}
     digests = _digests(module) if package == "highway_env" else {}
     for name in sorted(present.keys() | ported.keys()):
         if name not in present or not _is_ported(owner, name, present[name], ported.get(name), digests):
@@ -264,6 +268,7 @@ def _is_in_file(module: str, path: str, codes: list[CodeType] | None) -> bool:
 
 
 def _are_same(code: CodeType, other: CodeType) -> bool:
+    """Return whether two codes are equal, with those of the functions in them, wherever their files are."""
     names = ("co_code", "co_names", "co_varnames", "co_freevars", "co_flags", "co_firstlineno")
     if any(getattr(code, name) != getattr(other, name) for name in names):
         return False
@@ -312,7 +317,8 @@ def ported_sources() -> Ported:
 @cache
 def _digests(module: str) -> dict[str, str]:
     """Return the digests of the sources of the functions in the file of a module, by class and name."""
-    source = _source(module)
+    spec = find_spec(module)
+    source = "" if spec is None or spec.origin is None else Path(spec.origin).read_text(encoding="utf-8")
     lines = source.splitlines()
     found: dict[str, str] = {}
     for name, node in _functions(ast.parse(source)):
@@ -327,11 +333,6 @@ def _functions(tree: ast.Module | ast.ClassDef, prefix: str = "") -> Iterator[tu
             yield from _functions(node, f"{prefix}{node.name}.")
         elif isinstance(node, ast.FunctionDef):
             yield f"{prefix}{node.name}", node
-
-
-def _source(module: str) -> str:
-    spec = find_spec(module)
-    return "" if spec is None or spec.origin is None else Path(spec.origin).read_text(encoding="utf-8")
 
 
 @cache

@@ -48,8 +48,8 @@ class DrivingVectorEnv(LockStepVectorEnv):
         gives_rewards: whether rewards are computed, True at first. If it is set to False, they are 0, and infos hold
             only the ends of episodes. Executions do not need them.
         checks_actions: whether `step` checks the actions, True at first. If it is set to False, the caller has to.
-        short_traces: whether only failures matter, False at first. If it is set to True, `trace` has the last frames,
-            with the same judgment, for an episode that may be without failure, and is None for any other.
+        short_traces: whether only failures matter, False at first. If it is set to True, the `trace` of an episode that
+            may be without failure has its last frames only, with the same judgment; that of any other is None.
 
     Raises:
         InputError: if the config is wrong, or asks for something that only the single environment supports.
@@ -97,8 +97,10 @@ class DrivingVectorEnv(LockStepVectorEnv):
         stepped = self._episodes.ends == RUNNING
         (terminated, truncated), self._n_ended = self._episodes.decide(actions, stepped)
         self._episodes.observe(stepped)
-        self._terms = self._episodes.terms(stepped) if self.gives_rewards else None
-        rewards = sum(() if self._terms is None else self._terms, np.zeros(self.num_envs))
+        self._terms, rewards = None, np.zeros(self.num_envs)
+        if self.gives_rewards:
+            self._terms = self._episodes.terms(stepped)
+            rewards = sum(self._terms, rewards)
         return rewards, terminated, truncated, stepped, self._n_ended
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> None:
@@ -122,18 +124,24 @@ class DrivingVectorEnv(LockStepVectorEnv):
             speeds, terms = np.where(stepped, self._episodes.speeds, 0.0), np.where(stepped, self._terms, 0.0)
             rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, stepped)
             infos = {"speed": speeds, "_speed": stepped, "rewards": rewards, "_rewards": stepped}
-        if self._n_ended and (done := stepped & (self._episodes.ends != RUNNING)).any():
-            ends, traces = np.full((2, self.num_envs), None, dtype=object)
-            for b in done.nonzero()[0].tolist():
-                ends[b] = ENDS[self._episodes.ends[b]]
-                traces[b] = self._episodes.ending(b) if self.short_traces else self._episodes.trace(b)
-            infos |= {"end": ends, "_end": done, "trace": traces, "_trace": done}
+        if self._n_ended:
+            infos |= self._end_infos(stepped & (self._episodes.ends != RUNNING))
         if begun is not None:
             scenarios = np.full(self.num_envs, None, dtype=object)
             for b in begun.nonzero()[0].tolist():
                 scenarios[b] = self.scenarios[b]
             infos |= {"scenario": scenarios, "_scenario": begun}
         return infos
+
+    def _end_infos(self, done: Bools) -> dict[str, Any]:
+        """Return what infos have besides for episodes that have just ended; nothing if there are none."""
+        if not done.any():
+            return {}
+        ends, traces = np.full((2, self.num_envs), None, dtype=object)
+        for b in done.nonzero()[0].tolist():
+            ends[b] = ENDS[self._episodes.ends[b]]
+            traces[b] = self._episodes.ending(b) if self.short_traces else self._episodes.trace(b)
+        return {"end": ends, "_end": done, "trace": traces, "_trace": done}
 
     def _given(self, options: Mapping[str, Any], mask: Bools) -> tuple[Sequence[ScriptedScenario | None]]:
         del mask
@@ -165,9 +173,9 @@ def vector_env(env_class: type[DrivingEnv]) -> type[DrivingVectorEnv]:
 
 def _check_supported(env: DrivingEnv) -> None:
     """Check that the vector environment can replace an environment."""
-    obstacle = odd_method(env, DrivingEnv) or odd_observation(env.observation_type) or odd_action(env.action_type)
-    if obstacle:
+    odd = odd_method(env, DrivingEnv) or odd_observation(env.observation_type) or odd_action(env.action_type)
+    if odd:
         raise InputError(
-            f"The vector environment does not support {obstacle}; use gymnasium.make, or gymnasium.make_vec with "
+            f"The vector environment does not support {odd}; use gymnasium.make, or gymnasium.make_vec with "
             f"vectorization_mode='sync'"
         )

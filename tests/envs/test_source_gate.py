@@ -47,7 +47,7 @@ def present_sources(owners):
             continue
         digests, names = source_gate._digests(module), found.setdefault(module, {}).setdefault(name, {})
         for key, value in sorted(vars(owner).items()):
-            if source_gate._counts(owner, key, value):
+            if source_gate._matters(owner, key, value):
                 is_value = source_gate._codes(value) is None
                 path = f"{name}.{key}".lstrip(".")
                 names[key] = source_gate._VALUE + source_gate._text(value) if is_value else digests[path]

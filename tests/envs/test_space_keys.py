@@ -7,7 +7,7 @@ from highway_env.envs.common.action import action_factory
 from highway_env.envs.common.observation import ObservationType, observation_factory
 
 from behavexplor import evaluate, find_failures
-from behavexplor.envs.env_config import STOCK_ACTIONS, STOCK_OBSERVATIONS
+from behavexplor.envs.env_config import HIGHWAY_ACTIONS, HIGHWAY_OBSERVATIONS
 from behavexplor.envs.making import check_keys, make_registered
 from behavexplor.errors import InputError
 
@@ -110,9 +110,9 @@ def test_the_types_are_those_of_highway_env():
         "observation_config": KINEMATICS,
         "action_config": {"type": "DiscreteMetaAction"},
     }
-    for name, kind in STOCK_OBSERVATIONS.items():
+    for name, kind in HIGHWAY_OBSERVATIONS.items():
         assert type(observation_factory(env, {**needed, "type": name})) is kind
-    for name, kind in STOCK_ACTIONS.items():
+    for name, kind in HIGHWAY_ACTIONS.items():
         assert type(action_factory(env, {**needed, "type": name})) is kind
 
 

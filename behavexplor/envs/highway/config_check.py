@@ -1,4 +1,4 @@
-"""Which environments and configurations the compiled engine replaces: highway-env's own, with other roads and starts.
+"""Check that the compiled engine can replace an environment of highway-env, or a subclass with another road or starts.
 
 Each key of a configuration is reproduced, without effect on results, or refused by name.
 """
@@ -60,6 +60,7 @@ OBSERVATIONS = MappingProxyType(
         "TimeToCollision": observations.TimeToCollisionObservation,
     }
 )
+# Methods that make the road and the first vehicles, which a subclass may replace.
 STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
 _OWN = STARTS | {"__init__"}
 
@@ -67,8 +68,8 @@ _OWN = STARTS | {"__init__"}
 def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], changes: object) -> None:
     """Check that the compiled engine reproduces a configuration, and warn of keys that highway-env ignores.
 
-    `changes` are what is given, and change the default configuration in part. Only the environment's own roads and
-    starts read the keys that `known_class` does not have.
+    `changes` are keys of the default configuration with other values. `known_class` is the class of highway-env whose
+    rules the environment follows; only its own roads and starts read the keys that this class does not have.
 
     Raises:
         InputError: if a key is not supported, or a value is out of range. The message names the key.
@@ -92,12 +93,13 @@ def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], c
 def _check_key(key: str, value: object, kind: TaskKind) -> None:
     if key in DRAWING or key in kind.unread or key in ("observation", "action"):
         return
+    read = {**READ, **kind.keys}
     if key in ONLY:
         if value != ONLY[key]:
             raise InputError(
                 f"{key}: the compiled engine supports {ONLY[key]} only, not {values.shown(value)}; {OTHER_WAY}"
             )
-    elif key in (read := {**READ, **kind.keys}):
+    elif key in read:
         read[key].check(key, value)
     elif key in kind.terms:
         values.NUMBER.check(key, value)

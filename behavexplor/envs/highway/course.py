@@ -1,4 +1,4 @@
-"""The ego's route in an environment of highway-env: the lanes that were planned, or those along which it drove."""
+"""What the lanes of highway-env's roads tell: the ego's route, the road's plan for export, its shape for pictures."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -35,8 +35,10 @@ def ego_route(
     """Return the center line of the ego's way, without its changes of lane, shape (P, 2), P >= 2 [m].
 
     On each road, the route stays in the lane with the number of the first lane, as far as the road has it. A lane
-    change therefore shows as an offset from the route, and a turn as a turn of the route. If no lanes are planned, the
-    roads are those along which the ego drove, as far as they are connected; `driven` is its lane in every frame.
+    change therefore shows as an offset from the route, and a turn as a turn of the route.
+
+    `planned` has the lanes of the ego's route at the start. If it is empty, the roads are those along which the ego
+    drove, as far as they are connected. `driven` is its lane in each of T frames, and `positions` has shape (T, 2) [m].
     """
     roads = [lane[:2] for lane in planned] if planned else _connected([lane[:2] for lane in driven])
     number = driven[0][2] or 0

@@ -24,7 +24,7 @@ from behavexplor.envs.highway.wide_traffic import widen
 
 MOST_DECISIONS: Final = 10_000  # of an episode that its environment would never end
 _PROBES: Final = 3  # resets from which the environment's draws are read
-_COUNT: Final = re.compile(r"#\d+")
+_COUNT: Final = re.compile(r"#\d+")  # of calls, in the names of draws
 
 
 class DrawnEnv(gymnasium.Env[Any, Any]):
@@ -40,6 +40,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         traffic: kind of traffic, see `behavexplor.data.drawn_scenario.Setup`.
 
     Attributes:
+        inner: the environment of highway-env, without wrappers.
         logical: all scenarios of the environment in this configuration.
         record: the record of the present episode; None before the first one.
         generator: the generator of the present episode.
@@ -49,7 +50,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     def __init__(self, name: str, env: gymnasium.Env[Any, Any], traffic: Traffic = DEFAULT) -> None:
         self._env = env
         inner: Any = env.unwrapped
-        self._inner: AbstractEnv = inner
+        self.inner: AbstractEnv = inner
         if traffic == WIDE:
             widen(inner)
         self.observation_space = self._env.observation_space
@@ -62,19 +63,14 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self._seed = 0
         self._decisions = 0
         layout = self._layout()  # first, because an environment may also draw keys of its configuration
-        self._setup = Setup(name, config_text(self._inner.config), traffic, highway_env.__version__)
+        self._setup = Setup(name, config_text(self.inner.config), traffic, highway_env.__version__)
         self.logical = DrawnLogicalScenario(self._setup, layout)
 
     @property
     def config(self) -> dict[str, Any]:
         """highway-env's whole configuration."""
-        config: dict[str, Any] = self._inner.config
+        config: dict[str, Any] = self.inner.config
         return config
-
-    @property
-    def inner(self) -> AbstractEnv:
-        """The environment of highway-env, without wrappers."""
-        return self._inner
 
     @property
     def wrappers(self) -> list[gymnasium.Wrapper[Any, Any, Any, Any]]:
@@ -89,7 +85,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     @property
     def meta_actions(self) -> tuple[str, ...]:
         """Names of the actions in their order if the ego drives by meta-actions; otherwise nothing."""
-        kind = self._inner.action_type
+        kind = self.inner.action_type
         return tuple(kind.actions.values()) if isinstance(kind, DiscreteMetaAction) else ()
 
     @property
@@ -113,7 +109,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
             generator = DrawnGenerator(dict(scenario.draws), scenario.seed, __file__)
         self._seed = 0 if scenario is None else scenario.seed
         observation, info = self._begin(generator)
-        self.record = Watch(self._inner).record
+        self.record = Watch(self.inner).record
         return observation, {**info, "scenario": scenario or self.played()}
 
     def begin_blindly(self, scenario: DrawnScenario) -> None:
@@ -122,24 +118,24 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         Raises:
             InputError: if the scenario is not one of this environment.
         """
-        define: Callable[[], None] = self._inner.define_spaces
+        define: Callable[[], None] = self.inner.define_spaces
 
         def define_blindly() -> None:
             define()
-            self._inner.observation_type.observe = lambda: None
+            self.inner.observation_type.observe = lambda: None
 
-        self._inner.define_spaces = define_blindly
+        self.inner.define_spaces = define_blindly
         try:
             self.reset(options={"scenario": scenario})
         finally:
-            del self._inner.define_spaces
+            del self.inner.define_spaces
             define()
 
     def _begin(self, generator: DrawnGenerator) -> tuple[Any, dict[str, Any]]:
         self.generator = generator
         self._decisions = 0
         with self.vehicle_classes.applied():
-            self._inner._np_random = generator  # noqa: SLF001 - gymnasium's own place for a given generator
+            self.inner._np_random = generator  # noqa: SLF001 - gymnasium's own place for a given generator
             result: tuple[Any, dict[str, Any]] = self._env.reset()
         generator.forget_calls()
         return result
@@ -151,9 +147,9 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
             raise ResetNeeded("The environment has not begun an episode: call reset before step")
         record.decide(action)
         observation, reward, terminated, truncated, info = self._decide(action)
-        record.judge(has_arrived(self._inner, info))
+        record.judge(has_arrived(self.inner, info))
         if terminated or truncated:
-            trace = record.trace(self._inner.road.network, terminated=bool(terminated))
+            trace = record.trace(self.inner.road.network, terminated=bool(terminated))
             info = {**info, "trace": trace, "scenario": self.played()}
         return observation, float(reward), bool(terminated), bool(truncated), info
 
@@ -170,7 +166,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
 
     def _layout(self) -> tuple[Draw, ...]:
         """Read the environment's draws from a few episodes."""
-        layout = Layout(type(self._inner))
+        layout = Layout(type(self.inner))
         for seed in range(_PROBES):
             generator = DrawnGenerator({}, seed, __file__, self._n_vehicles)
             self._begin(generator)
@@ -181,7 +177,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
 
     def _drive_on(self, generator: DrawnGenerator) -> None:
         """Drive an episode of drawn actions to its time limit if the environment draws while it runs."""
-        config = self._inner.config
+        config = self.inner.config
         self.action_space.seed(0)
         limit = min(int(config.get("duration", 1) * config["policy_frequency"]) + 1, MOST_DECISIONS)
         for decision in range(limit):
@@ -191,12 +187,12 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
                 return
 
     def _n_vehicles(self) -> int:
-        road = self._inner.road
+        road = self.inner.road
         return 0 if road is None else len(road.vehicles)
 
     def road_shape(self) -> RoadShape:
         """Return the shape of the road for pictures."""
-        return road_shape(self._inner.road.network)
+        return road_shape(self.inner.road.network)
 
     def road_plan(self) -> RoadPlan:
         """Return the lanes of the road.
@@ -204,7 +200,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         Raises:
             InputError: if one has a shape that other tools cannot be told.
         """
-        return road_plan(self._inner.road.network)
+        return road_plan(self.inner.road.network)
 
     def render(self) -> Any:
         """Render the environment."""
@@ -264,6 +260,7 @@ class Layout:
                 yield name
 
     def _label(self, name: str, position: int) -> tuple[str, int]:
+        """Return what the draws of a block have in common: the repeated call, or the number of the next vehicle."""
         parts = name.split("/")
         is_of_vehicle = hasattr(IDMVehicle, _COUNT.sub("", parts[-1]))  # as `randomize_behavior`, which envs have, too
         for end in range(1, len(parts) + 1 - is_of_vehicle):

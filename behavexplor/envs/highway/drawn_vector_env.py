@@ -1,7 +1,7 @@
 """The compiled form of highway-env's environments whose episodes are given by their random draws."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -30,7 +30,7 @@ from behavexplor.errors import InputError
 _HARMLESS: Final = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit)  # wrappers
 _COMPARED: Final = 3  # starts of the engine that are compared with highway-env's
 _SIZE: Final = (5.0, 2.0)  # length and width of highway-env's vehicles that appear in an episode [m]
-SPAWN = "_spawn_vehicle"
+SPAWN = "_spawn_vehicle"  # the method of `IntersectionEnv` that may place a vehicle
 _SPAWN_KINDS = (UNIFORM, UNIFORM, UNIFORM, NORMAL, NORMAL)  # of its draws, before that of `DELTA`
 
 
@@ -50,7 +50,8 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
     `reset(options={"scenarios": [...], "reset_mask": ...})` begins episodes, and at the end of an episode
     `infos["trace"]` has its trace. Autoreset is disabled.
 
-    The episodes of the given environment are used up.
+    The present episode of `env` is lost. `rewards` says whether rewards are needed; see `HighwayVectorEnv`.
+    The attribute `engine` has the environments without their records; its episodes can go on from snapshots.
 
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.
@@ -59,13 +60,13 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
     def __init__(self, env: DrawnEnv, num_envs: int, *, rewards: bool = False) -> None:
         check_compiled(env, rewards=rewards)
         self._env = env
-        self._engine = _engine(env, num_envs, rewards=rewards)
+        self.engine = _make_engine(env, num_envs, rewards=rewards)
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.DISABLED}
-        self.single_observation_space = self._engine.single_observation_space
-        self.single_action_space = self._engine.single_action_space
-        self.observation_space = self._engine.observation_space
-        self.action_space = self._engine.action_space
+        self.single_observation_space = self.engine.single_observation_space
+        self.single_action_space = self.engine.single_action_space
+        self.observation_space = self.engine.observation_space
+        self.action_space = self.engine.action_space
         self.logical: DrawnLogicalScenario = env.logical
         self._records: list[Any] = [None] * num_envs
         self._networks: list[RoadNetwork] = [env.inner.road.network] * num_envs
@@ -80,15 +81,15 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
         """Return the order of the draws by which the engine begins episodes; None if only highway-env can."""
         rng = np.random.default_rng(0)
         scenarios = [self.logical.sample(rng) for _ in range(_COMPARED)]
-        order = None if self._engine.places_own else start_order(self._env, scenarios)
+        order = None if self.engine.places_own else start_order(self._env, scenarios)
         mask = np.arange(self.num_envs) == 0
         for scenario in scenarios:
             self._begin_by_highway_env(0, scenario)  # refuses what the engine cannot copy, such as another road
             if order is None:
                 continue
-            expected = self._engine.state(0)
-            self._engine.reset(options={"reset_mask": mask, "draws": {0: forms_of(scenario, order)}})
-            if not are_alike(expected, self._engine.state(0)):
+            expected = self.engine.state(0)
+            self.engine.reset(options={"reset_mask": mask, "draws": {0: forms_of(scenario, order)}})
+            if not are_alike(expected, self.engine.state(0)):
                 return None
         return order
 
@@ -104,12 +105,12 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
     @short_traces.setter
     def short_traces(self, short: bool) -> None:
         self._has_short_traces = short
-        self._engine.log_egos(alone=short)
+        self.engine.log_egos(alone=short)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Begin episodes with the option `scenarios`, one for each slot; `reset_mask`, (num_envs,), selects slots.
+        """Begin episodes with the option `scenarios`, which has one for each sub-environment.
 
-        `seed` has no effect.
+        The option `reset_mask`, shape (num_envs,), selects those to reset. `seed` has no effect: the scenarios decide.
 
         Raises:
             InputError: if a scenario is not one of this environment.
@@ -124,18 +125,23 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
         scenarios: dict[int, DrawnScenario] = {b: options["scenarios"][b] for b in chosen}
         if self._order is None:
             begun = [self._begin_by_highway_env(b, scenario) for b, scenario in scenarios.items()][-1]
-            if self.short_traces:
-                self._watch.begin(chosen, self._engine)
-            return begun
-        for scenario in scenarios.values() if not self.short_traces else ():
-            self.logical.check(scenario)
-        draws = {b: forms_of(scenario, (*self._order, *self._later)) for b, scenario in scenarios.items()}
-        begun = self._engine.reset(options={"reset_mask": mask, "draws": draws})
+        else:
+            begun = self._begin_by_engine(mask, scenarios, (*self._order, *self._later))
         if self.short_traces:
-            self._watch.begin(chosen, self._engine)
-            return begun
-        for b in chosen:
-            state = self._engine.state(b)
+            self._watch.begin(chosen, self.engine)
+        return begun
+
+    def _begin_by_engine(
+        self, mask: Bools, scenarios: Mapping[int, DrawnScenario], order: Sequence[DrawPlace]
+    ) -> tuple[Array, dict[str, Any]]:
+        """Begin episodes in the engine with the draws of scenarios, in their order."""
+        if not self.short_traces:
+            for scenario in scenarios.values():
+                self.logical.check(scenario)
+        draws = {b: forms_of(scenario, order) for b, scenario in scenarios.items()}
+        begun = self.engine.reset(options={"reset_mask": mask, "draws": draws})
+        for b in () if self.short_traces else scenarios:
+            state = self.engine.state(b)
             self._records[b] = EpisodeRecord(self._env.inner, state.ego_route(self._networks[b]))
             self._records[b].sizes.update(state.sizes())
             self._log(b, 1)
@@ -147,56 +153,44 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
         self._records[b], self._networks[b] = self._env.record, self._env.inner.road.network
         chosen, later = np.arange(self.num_envs) == b, forms_of(scenario, self._later)
         with self._env.vehicle_classes.applied():
-            return self._engine.reset(
+            return self.engine.reset(
                 options={"reset_mask": chosen, "starts": {b: self._env.inner}, "draws": {b: later}}
             )
 
     def step(self, actions: Array) -> tuple[Array, Floats, Bools, Bools, dict[str, Any]]:
         """Take an action in every sub-environment. A sub-environment whose episode has ended rests."""
-        rest = self._ended
+        rest = self._ended  # since an earlier decision
         recorded = [] if self.short_traces else np.flatnonzero(~rest).tolist()
         for b in recorded:
             self._records[b].decide(actions[b])
-        observations, rewards, terminated, truncated, infos = self._engine.step(actions)
+        observations, rewards, terminated, truncated, infos = self.engine.step(actions)
         self._ended = terminated | truncated
         ended = self._ended & ~rest
         traces = np.full(self.num_envs, None, dtype=object)
         if self.short_traces:
-            traces[ended & self._watch.passing(self._engine, infos)] = self._watch.passed
+            traces[ended & self._watch.passing(self.engine, infos)] = self._watch.passed
+        arrived = _arrivals(infos)
         for b in recorded:
-            self._log(b, len(self._engine.frame_log.frames[b]))
-            self._records[b].judge(None if (arrived := _arrivals(infos)) is None else bool(arrived[b]))
-        for b in np.flatnonzero(ended).tolist() if recorded else ():
-            traces[b] = self._records[b].trace(self._networks[b], terminated=bool(terminated[b]))
+            self._log(b, len(self.engine.frame_log.frames[b]))
+            self._records[b].judge(None if arrived is None else bool(arrived[b]))
+            if ended[b]:
+                traces[b] = self._records[b].trace(self._networks[b], terminated=bool(terminated[b]))
         return observations, rewards, terminated, truncated, {**infos, "trace": traces, "_trace": ended}
 
     def _log(self, b: int, count: int) -> None:
-        """Record the first frames of the latest decision of sub-environment b."""
-        log, record = self._engine.frame_log, self._records[b]
+        """Record the first `count` frames of the latest decision of sub-environment b."""
+        log, record = self.engine.frame_log, self._records[b]
         rows = zip(log.frames[b, :count].tolist(), log.things[b, :count].copy(), strict=True)
         for (n_things, ego, is_on_road), things in rows:
             record.frames.append(Frame(things[:n_things], ego, is_on_road))
         for number in log.things[b, count - 1]["number"][:n_things].tolist():
             record.sizes.setdefault(number, _SIZE)
 
-    @property
-    def engine(self) -> HighwayVectorEnv:
-        """The environments without their records, whose episodes can go on from snapshots."""
-        return self._engine
-
-    def close_extras(self, **_: Any) -> None:
-        """Release the engine."""
-        self._engine.close()
-
 
 class FailureWatch:
     """Finds out which episodes in lock-step fail, without recording them; `episode_record` says what a failure is.
 
     The engine's log must have the egos alone.
-
-    Args:
-        env: the environment.
-        num_envs: number of sub-environments.
 
     Attributes:
         passed: a trace of one frame that stands for every episode without failure.
@@ -205,15 +199,18 @@ class FailureWatch:
     def __init__(self, env: DrawnEnv, num_envs: int) -> None:
         network = env.inner.road.network
         numbers = road_numbers(network)
-        self._roads = np.array([numbers[lane[:2]] for lane in lane_indexes(network)])  # of the lanes
-        self._borders, self._must_move_on = leaving_matters(env.inner), must_move_on(env.inner)
-        self._strayed = np.zeros(num_envs, dtype=bool)
+        self._roads = np.array([numbers[lane[:2]] for lane in lane_indexes(network)])  # the road of each lane
+        self._has_borders, self._must_move_on = leaving_matters(env.inner), must_move_on(env.inner)
+        self._strayed = np.zeros(num_envs, dtype=bool)  # whether the ego has left the road
         self._entry = np.zeros((num_envs, 3), dtype=np.int64)  # roads beyond which the ego has to get
-        self._is_beyond = np.zeros(num_envs, dtype=bool)
-        has_end = self._must_move_on or isinstance(env.inner, ExitEnv | IntersectionEnv)
-        told = {CRASHED: 0.0} | ({OFF_ROAD: 0.0} if self._borders else {}) | ({ARRIVED: 1.0} if has_end else {})
+        self._is_beyond = np.zeros(num_envs, dtype=bool)  # whether it has
+        signals = {CRASHED: np.zeros(1)}
+        if self._has_borders:
+            signals[OFF_ROAD] = np.zeros(1)
+        if self._must_move_on or isinstance(env.inner, ExitEnv | IntersectionEnv):
+            signals[ARRIVED] = np.ones(1)
         first = env.logical.first_frame(env.played(), "timeout")
-        self.passed: Trace = replace(first, signals={name: np.array([value]) for name, value in told.items()})
+        self.passed: Trace = replace(first, signals=signals)
 
     def begin(self, chosen: Sequence[int], engine: HighwayVectorEnv) -> None:
         """Begin episodes, which the engine has begun and logged."""
@@ -235,10 +232,10 @@ class FailureWatch:
             self._is_beyond |= (first & second & third).any(axis=1)
         arrived = _arrivals(infos)
         failed: Bools = infos["crashed"] | ~(self._is_beyond if arrived is None else arrived)
-        return ~(failed | self._strayed) if self._borders else ~failed
+        return ~(failed | self._strayed) if self._has_borders else ~failed
 
 
-def _engine(env: DrawnEnv, num_envs: int, *, rewards: bool) -> HighwayVectorEnv:
+def _make_engine(env: DrawnEnv, num_envs: int, *, rewards: bool) -> HighwayVectorEnv:
     """Return the engine for an environment."""
     kind = type(env.inner)
     try:

@@ -54,8 +54,8 @@ def make_engine(
 ) -> Engine:
     """Return what the episodes of an environment that has been reset have in common.
 
-    `number` is that of its kind. With `places_own`, it makes its own road or vehicles. After `most_decisions`, an
-    episode is truncated; None for no limit.
+    `number` is that of its kind, and `places_own` says whether it makes its own road or vehicles. After
+    `most_decisions`, an episode is truncated; None for no limit.
     """
     kind, world = KINDS[number], make_world(env, goal_lanes(env))
     if isinstance(env, kind.unaware):
@@ -83,11 +83,13 @@ def most_at_start(env: AbstractEnv, task: Task, *, places_own: bool) -> int:
 
 def most_new(env: AbstractEnv, task: Task) -> int:
     """Return the greatest number of vehicles that can appear in an episode after its start."""
-    n_new = int(task.rules[0].n_new)
-    return n_new and n_new * math.ceil(float(env.config["duration"] * env.config["policy_frequency"])) + 2
+    n_new = int(task.rules[0].n_new)  # after each decision
+    if n_new == 0:
+        return 0
+    return n_new * math.ceil(float(env.config["duration"] * env.config["policy_frequency"])) + 2
 
 
-def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog) -> StepResults:
+def make_results(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog) -> StepResults:
     """Create the arrays of observations, rewards and ends, with the log of the frames."""
     shape = env.observation_space.shape
     return StepResults(
@@ -184,7 +186,7 @@ def _by_slot(name: str, given: object, mask: Bools) -> dict[int, Any]:
 
 
 def _floats(draws: object) -> Floats:
-    """Return an array of shape (n,), with a NaN if this is none."""
+    """Return draws as an array of shape (n,), or one NaN if they are none."""
     try:
         forms = np.asarray(draws, dtype=np.float64)
     except (TypeError, ValueError):

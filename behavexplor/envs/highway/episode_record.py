@@ -13,8 +13,8 @@ What highway-env's environments themselves count as a failure, beside a crash:
 Where nothing is said, it means nothing: in junctions, a vehicle that drives well leaves its lane for some frames, and
 on a two-way road it may overtake. A subclass counts as its parent does.
 
-The lanes say what the ego does, and where the vehicle is into which it crashes. A vehicle's place is the lane that is
-closest to it, or the one at which it aims if that lies on another road: in a junction, the closest lane is often one
+The trace also tells, by lanes, what the ego does, and where the vehicle is into which it crashes. A vehicle's place is
+its closest lane, or the one at which it aims if that lies on another road: in a junction, the closest lane is often one
 that only crosses. A vehicle aims at the next road of its route before it has left its own, and stays there until then.
 """
 
@@ -120,26 +120,26 @@ class EpisodeRecord:
     def trace(self, network: RoadNetwork, *, terminated: bool) -> Trace:
         """Return the trace of the episode, which ends with the frame in which the ego crashes, if it does.
 
-        `terminated` says that the environment ended it, not that its time ran out.
+        `terminated` says that the environment ended the episode, not that its time ran out.
         """
         things = [frame.things for frame in self.frames]
         numbers, column = self._columns()
+        size = np.array([self.sizes[number] for number in numbers.tolist()])
         frame = np.repeat(np.arange(len(things)), [len(seen) for seen in things])
         every = _joined(things)
         at = (frame, column[every["number"]])
         motion = np.zeros((4, len(things), len(numbers)))
         motion[:2] = ABSENT
-        lane, target = np.zeros((2, len(things), len(numbers)), dtype=np.int64)
-        present, crashed = np.zeros((2, len(things), len(numbers)), dtype=bool)
-        for i, name in enumerate(("x", "y", "heading", "speed")):
-            motion[i][at] = every[name]
-        lane[at], target[at] = every["lane"], every["target_lane"]
-        present[at], crashed[at] = True, every["crashed"]
+        for values, name in zip(motion, ("x", "y", "heading", "speed"), strict=True):
+            values[at] = every[name]
         position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
         velocity = speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        size = np.array([self.sizes[number] for number in numbers.tolist()])
+        lane, target = np.zeros((2, len(things), len(numbers)), dtype=np.int64)
+        lane[at], target[at] = every["lane"], every["target_lane"]
+        present, crashed = np.zeros((2, len(things), len(numbers)), dtype=bool)
+        present[at], crashed[at] = True, every["crashed"]
         has_crashed = bool(crashed[:, 0].any())
-        count = int(crashed[:, 0].argmax()) + 1 if has_crashed else len(things)
+        count = int(crashed[:, 0].argmax()) + 1 if has_crashed else len(things)  # frames that the trace keeps
         indexes = lane_indexes(network)
         driven = [indexes[place] for place in lane[:, 0].tolist()]  # the ego's lane in every frame
         route = ego_route(network, self._route, driven, position[:, 0])
@@ -221,7 +221,7 @@ class Watch:
         obstacles = [thing for thing in env.road.objects if thing.solid and thing.collidable]
         numbers = {index: number for number, index in enumerate(lane_indexes(env.road.network))}
         rows = [self._row(thing, numbers) for thing in vehicles]
-        rows += [self._row(thing, {}) for thing in obstacles]  # which are on no lane
+        rows += [self._row(thing, {}) for thing in obstacles]  # obstacles have no lane
         self.record.frames.append(Frame(np.array(rows, dtype=THING), vehicles.index(ego), bool(ego.on_road)))
 
     def _row(
@@ -230,8 +230,9 @@ class Watch:
         number, _ = self._things.setdefault(id(thing), (len(self._things), thing))
         self.record.sizes.setdefault(number, (float(thing.LENGTH), float(thing.WIDTH)))
         motion = (*thing.position.tolist(), float(thing.heading), float(getattr(thing, "speed", 0.0)))
-        lane, target = (tuple(getattr(thing, name, None) or ()) for name in ("lane_index", "target_lane_index"))
-        return number, *motion, numbers.get(lane, NO_LANE), numbers.get(target, NO_LANE), bool(thing.crashed)
+        lane = numbers.get(tuple(getattr(thing, "lane_index", None) or ()), NO_LANE)
+        target = numbers.get(tuple(getattr(thing, "target_lane_index", None) or ()), NO_LANE)
+        return number, *motion, lane, target, bool(thing.crashed)
 
 
 def _joined(things: Sequence[Records]) -> Records:
@@ -253,7 +254,7 @@ def _partner(position: Floats, heading: Floats, size: Floats, crashed: Bools) ->
 
 
 def _lane_signals(network: RoadNetwork, lane: Ints, target: Ints, heading: Floats, partner: int) -> dict[str, Array]:
-    """Return the signals that the lanes tell; see `behavexplor.envs.highway.episode_record`."""
+    """Return the signals that the lanes tell; see the module. Lanes and headings have the shape (T, vehicles)."""
     table = lane_table(network)
     place = places(table, lane[:, 0], target[:, 0])
     signals: dict[str, Array] = {CHANGING: lane_changes(table, lane[:, 0], target[:, 0]), WAY: table.way[place]}
@@ -271,8 +272,8 @@ class LaneTable(NamedTuple):
     number: Ints  # number of each lane on its road, from the left, shape (L,)
     turn: Floats  # change of each lane's heading from start to end, positive to the right, shape (L,) [rad]
     way: Ints  # what a vehicle does there, a place in `WAYS`, shape (L,)
-    # how many lanes lane j is to the right of lane i, as far as j is on the road of i or on one of the next two that
-    # follow or precede it; NaN for all others. Shape (L, L).
+    # how many lanes lane j is to the right of lane i, shape (L, L). It is NaN unless j is on the road of i or on one of
+    # the next two roads that follow or precede it.
     beside: Floats
 
 
@@ -283,8 +284,9 @@ def lane_table(network: RoadNetwork) -> LaneTable:
     lanes = [network.get_lane(index) for index in indexes]
     ends = [index[:2] for index in indexes]
     turn = np.array([_turn(lane) for lane in lanes])
+    # by the node where it begins, the node where a curve ends
     curves = {origin: target for (origin, target), angle in zip(ends, turn, strict=True) if abs(angle) > CURVE}
-    ring = frozenset(node for node in curves if _returns(node, curves))
+    ring = frozenset(node for node in curves if _returns(node, curves))  # nodes of a roundabout
     way = [WAYS.index(_way(pair, curves, ring, angle)) for pair, angle in zip(ends, turn, strict=True)]
     road = np.array([roads[pair] for pair in ends])
     number = np.array([index[2] for index in indexes])
@@ -305,7 +307,7 @@ def _returns(node: str, curves: dict[str, str]) -> bool:
 
 
 def _way(ends: tuple[str, str], curves: dict[str, str], ring: frozenset[str], turn: float) -> str:
-    """Return what a vehicle does on the road between two nodes, one of `WAYS`."""
+    """Return what a vehicle does on the road between two nodes, one of `WAYS`; `turn` is the road's [rad]."""
     origin, target = ends
     if origin in ring:
         return "driving-in-the-ring" if curves[origin] == target else "leaving-the-ring"
@@ -378,8 +380,8 @@ def lane_changes(table: LaneTable, lane: Ints, target: Ints) -> Ints:
 def partner_places(table: LaneTable, place: Ints, partner: Ints, turned: Floats) -> tuple[Ints, Floats]:
     """Return where the partner of a crash is in each frame, and how many lanes to the right of the ego, each (T,).
 
-    The former is `ELSEWHERE`, `ON_ITS_WAY` or `OBSTACLE`. The place of an obstacle is `NO_LANE`; `turned` is its
-    heading relative to the ego's [rad].
+    It is `ELSEWHERE`, `ON_ITS_WAY` or `OBSTACLE`. `place` and `partner` are the lanes of the ego and of the partner,
+    `NO_LANE` for an obstacle. `turned` is the heading of the partner relative to the ego's [rad].
     """
     beside = table.beside[place, partner]
     angle = np.abs(np.remainder(turned + np.pi, 2 * np.pi) - np.pi)

@@ -66,7 +66,7 @@ def advance(
     engine: Engine,
     slots: Slots,
     scratch: Scratch,
-    outcome: StepResults,
+    results: StepResults,
     chosen: Bools,
     actions: Actions,
     stage: int,
@@ -76,11 +76,12 @@ def advance(
 
     One kernel does all of this, because each function that is compiled on its own takes seconds more.
 
-    Everything but world, task, `chosen` and actions is changed in place; `chosen` has the shape (B,). DECISION is
-    a stage in which episodes that have ended rest; BEGINNING begins episodes; LOOK observes and judges those that have
-    been begun elsewhere. With `logs_start`, the start is logged as the first frame. Return the number of chosen slots
-    whose episode has ended. If a choice is none of the commands, it is REFUSED, and if the vehicles of a slot would not
-    have room in it, FULL; nothing has changed then.
+    `chosen` says which slots, shape (B,). The stage DECISION simulates a decision, and episodes that have ended rest;
+    BEGINNING begins episodes; LOOK observes and judges those that have been begun elsewhere. With `logs_start`, the
+    start is logged as the first frame. All but world, task, `chosen` and actions is changed in place.
+
+    Return the number of chosen slots whose episode has ended. If a choice is none of the commands, return REFUSED, and
+    if a slot has no room for the vehicles, FULL; nothing has changed then.
     """
     refusal = _refusal(engine.task, slots, chosen, actions, stage)
     if refusal < 0:
@@ -89,8 +90,8 @@ def advance(
     for b in range(len(chosen)):
         if not chosen[b]:
             continue
-        words, numbers, flags = engine.words[b], outcome.numbers[:, b], outcome.flags[:, b]
-        frames, things = outcome.log.frames[b], outcome.log.things[b]
+        words, numbers, flags = engine.words[b], results.numbers[:, b], results.flags[:, b]
+        frames, things = results.log.frames[b], results.log.things[b]
         if is_decision and (flags[TERMINATED] or flags[TRUNCATED]):
             _rest(numbers, flags, frames)
             n_ended += 1
@@ -111,7 +112,7 @@ def advance(
             enter(world, task, scene, words)
         if not is_decision:
             _note_start(world.network, scene, frames[:logs_start], things)
-        _look(world, engine.observed, scene, words, outcome.memory, outcome.observations[b])
+        _look(world, engine.observed, scene, words, results.memory, results.observations[b])
         _judge(world, task, scene, choice, numbers, flags)
         if is_decision:
             renew_traffic(world, task, scene, words)
@@ -202,12 +203,12 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chos
     The infos consist of parts of the numbers and flags, in which what is not chosen becomes 0, and of the actions. So
     numbers and flags must be copies. `chosen` says which sub-environments have an info, shape (B,).
     """
-    beside = None if all(chosen.tolist()) else ~chosen
-    if beside is not None:
-        np.copyto(numbers[SPEED:], 0.0, where=beside)
-        np.copyto(flags[CRASHED:], False, where=beside)
+    others = None if all(chosen.tolist()) else ~chosen  # what is not chosen, if there is any
+    if others is not None:
+        np.copyto(numbers[SPEED:], 0.0, where=others)
+        np.copyto(flags[CRASHED:], False, where=others)
         actions = actions.copy()
-        actions[beside] = 0
+        actions[others] = 0
     rewards: dict[str, Any] = {}
     for k, (name, mask_name, wanted) in enumerate(kind.named_terms):
         if wanted is float:
@@ -215,7 +216,7 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chos
         elif wanted is int:
             rewards[name] = numbers[FIRST_TERM + k].astype(int)
         else:
-            rewards[name] = _flag(flags[FIRST_FLAG + k], wanted, beside)
+            rewards[name] = _flag(flags[FIRST_FLAG + k], wanted, others)
         rewards[mask_name] = chosen
     infos: dict[str, Any] = {
         "speed": numbers[SPEED],
@@ -229,8 +230,8 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chos
     }
     if kind.has_agents:
         ended = flags[CRASHED] | flags[FIRST_FLAG + kind.position(kind.arrival)]
-        infos |= {"agents_rewards": _tuples(numbers[REWARD], beside), "_agents_rewards": chosen}
-        infos |= {"agents_terminated": _tuples(ended, beside), "_agents_terminated": chosen}
+        infos |= {"agents_rewards": _tuples(numbers[REWARD], others), "_agents_rewards": chosen}
+        infos |= {"agents_terminated": _tuples(ended, others), "_agents_terminated": chosen}
     if kind.success is not None:
         infos |= _success(flags[FIRST_FLAG + kind.position(kind.success)], flags[STEPPED] & chosen)
     return infos
@@ -241,16 +242,16 @@ def _success(is_success: Bools, stepped: Bools) -> dict[str, Any]:
     return {"is_success": is_success & stepped, "_is_success": stepped} if np.count_nonzero(stepped) else {}
 
 
-def _flag(values: Bools, wanted: type, beside: Bools | None) -> Array:
-    return values if wanted is bool else _without(values.astype(object), beside)
+def _flag(values: Bools, wanted: type, others: Bools | None) -> Array:
+    return values if wanted is bool else _without(values.astype(object), others)
 
 
-def _tuples(values: Array, beside: Bools | None) -> NDArray[np.object_]:
+def _tuples(values: Array, others: Bools | None) -> NDArray[np.object_]:
     """Return each value as a tuple of one, as highway-env's multi-agent environments have it."""
-    return _without(np.fromiter(zip(values.tolist(), strict=True), dtype=object), beside)
+    return _without(np.fromiter(zip(values.tolist(), strict=True), dtype=object), others)
 
 
-def _without(objects: NDArray[np.object_], beside: Bools | None) -> NDArray[np.object_]:
-    if beside is not None:
-        objects[beside] = None
+def _without(objects: NDArray[np.object_], others: Bools | None) -> NDArray[np.object_]:
+    if others is not None:
+        objects[others] = None
     return objects

@@ -35,7 +35,7 @@ class DrawnGenerator(np.random.Generator):
         played: standard forms of draws by the name of the call that makes them.
         source: source of draws that are not given: a seed, from which each of them is made by its own name; or a
             generator, which draws as it would without this class.
-        root: source file of the environment's caller; see `behavexplor.envs.highway.generator`.
+        root: source file of the environment's caller; see `CallPath`.
         label: function that gives a number to each draw when it is made.
 
     Attributes:
@@ -144,10 +144,11 @@ class DrawnGenerator(np.random.Generator):
         return shuffled
 
     def _draw(self, kind: str, count: int, native: Callable[[np.random.Generator, int], Any]) -> Floats:
-        """Return the standard forms of the next draws of the environment's innermost call, shape (count,)."""
-        return self._named(self._path.name(), kind, count, native)
+        """Return the standard forms of the next draws of the environment's innermost call, shape (count,).
 
-    def _named(self, name: str, kind: str, count: int, native: Callable[[np.random.Generator, int], Any]) -> Floats:
+        `native` draws values by a generator and returns their standard forms.
+        """
+        name = self._path.name()
         drawn, kinds = self.drawn.setdefault(name, []), self.kinds.setdefault(name, [])
         if isinstance(self._source, np.random.Generator):
             forms = np.asarray(native(self._source, count), dtype=np.float64).ravel().tolist()
@@ -178,9 +179,7 @@ class DrawnGenerator(np.random.Generator):
             raise ValueError("a choice needs at least one possibility")
         if n == 1:
             return np.zeros(count, dtype=np.int64)
-        forms = self._named(
-            self._path.name(), UNIFORM, count, lambda source, k: (np.asarray(native(source, k)) + 0.5) / n
-        )
+        forms = self._draw(UNIFORM, count, lambda source, k: (np.asarray(native(source, k)) + 0.5) / n)
         return np.minimum((forms * n).astype(np.int64), n - 1)
 
     def _weighted(self, p: Floats, count: int) -> Ints:
@@ -193,14 +192,12 @@ class DrawnGenerator(np.random.Generator):
             chosen = source.choice(len(p), size=k, p=p)
             return np.asarray((lower[chosen] + upper[chosen]) / 2)
 
-        forms = self._named(self._path.name(), UNIFORM, count, native)
+        forms = self._draw(UNIFORM, count, native)
         return np.minimum(np.searchsorted(upper, forms, side="right"), len(p) - 1)
 
     def _without_replacement(self, n: int, count: int, *, shuffle: bool) -> Ints:
         """Return different choices among n, shape (count,)."""
-        return self._picks(
-            n, count, self._path.name(), lambda source: source.choice(n, count, replace=False, shuffle=shuffle)
-        )
+        return self._picks(n, count, lambda source: source.choice(n, count, replace=False, shuffle=shuffle))
 
     def _order(self, n: int, dimensions: int) -> Ints:
         """Return the order of n shuffled rows, shape (n,). The number of dimensions decides how numpy shuffles."""
@@ -210,9 +207,9 @@ class DrawnGenerator(np.random.Generator):
             source.shuffle(rows)
             return rows.ravel()
 
-        return self._picks(n, n, self._path.name(), native)
+        return self._picks(n, n, native)
 
-    def _picks(self, n: int, count: int, name: str, native: Callable[[np.random.Generator], Array]) -> Ints:
+    def _picks(self, n: int, count: int, native: Callable[[np.random.Generator], Array]) -> Ints:
         """Pick `count` of n things one after the other: the standard form of each pick is its place among the rest."""
         sizes = n - np.arange(count)
 
@@ -223,7 +220,7 @@ class DrawnGenerator(np.random.Generator):
                 left.remove(picked)
             return np.asarray((np.array(places) + 0.5) / sizes)
 
-        forms = self._named(name, UNIFORM, count, forms_of)
+        forms = self._draw(UNIFORM, count, forms_of)
         left = list(range(n))
         return np.array([left.pop(min(int(form * len(left)), len(left) - 1)) for form in forms], dtype=np.int64)
 
@@ -265,9 +262,9 @@ def _broadcast(size: Any, *parameters: Any) -> Any:
 class CallPath:
     """The chain of calls from an environment's method down to a draw, which names the draw.
 
-    An example is "_make_vehicles/_spawn_vehicle#3", with the position among the draws of the innermost call. "#3" is
-    the fourth call of the function from the same caller. So a draw keeps its name when another vehicle is rejected and
-    draws less than before.
+    An example is "_make_vehicles/_spawn_vehicle#3", where "#3" is the fourth call of the function from the same caller.
+    A draw is found by this name and its position among the draws of the innermost call. So it keeps its name when
+    another vehicle is rejected and draws less than before.
 
     Calls above the source file `root`, and from the folders or files in `skipped`, have no part in a name.
     """

@@ -114,7 +114,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         super().__init__(self._single, num_envs, autoreset_mode, guard)
         self._make_arrays(num_envs, log_frames=log_frames)
         self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
-        self._observations = self._outcome.observations.reshape(self.observation_space.shape)
+        self._observations = self._results.observations.reshape(self.observation_space.shape)
         self._everywhere = np.ones(num_envs, dtype=bool)
         self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
         self._is_discrete = table is not None
@@ -134,12 +134,13 @@ class HighwayVectorEnv(LockStepVectorEnv):
         self._scratch = make_scratch(len(self._engine.world.network.lanes), n_places)
         n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0
         self.frame_log = make_log(num_envs, n_logged, n_places)
-        self._outcome = engine_making.make_outcome(self._single, self._engine, num_envs, self.frame_log)
-        self._decided = self._outcome.numbers, self._outcome.flags  # copies after the latest decision
+        self._results = engine_making.make_results(self._single, self._engine, num_envs, self.frame_log)
+        self._decided = self._results.numbers, self._results.flags  # copies after the latest decision
 
     def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
         starts = engine_making.chosen_starts(options.get("starts"), type(self._single), self.config, mask)
-        return starts, engine_making.chosen_draws(options.get("draws"), mask), self.frame_log.frames.size > 0
+        draws = engine_making.chosen_draws(options.get("draws"), mask)
+        return starts, draws, self.frame_log.frames.size > 0  # the starts are logged if there is a log
 
     def _seed(self, b: int, seed: int | None) -> None:
         if seed is not None or not self._is_seeded[b]:
@@ -149,7 +150,8 @@ class HighwayVectorEnv(LockStepVectorEnv):
     def _decide(self, actions: Array) -> tuple[Floats, Bools, Bools, Bools, int]:
         n_ended = self._advance(DECISION, self._everywhere, actions)
         self._taken = actions.copy()
-        self._decided = numbers, flags = self._outcome.numbers.copy(), self._outcome.flags.copy()
+        numbers, flags = self._results.numbers.copy(), self._results.flags.copy()
+        self._decided = numbers, flags
         return numbers[REWARD], flags[TERMINATED], flags[TRUNCATED], flags[STEPPED], n_ended
 
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
@@ -157,7 +159,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
             return infos_of(self._kind, *self._decided, self._taken, stepped)
         shown = self._taken.copy()
         shown[begun] = self._sampled[begun]
-        return infos_of(self._kind, self._outcome.numbers.copy(), self._outcome.flags.copy(), shown, stepped | begun)
+        return infos_of(self._kind, self._results.numbers.copy(), self._results.flags.copy(), shown, stepped | begun)
 
     def state(self, b: int) -> SlotState:
         """Return a copy of the state of sub-environment b."""
@@ -168,7 +170,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         n_places = 1 if alone else self._slots.vehicles.shape[1]
         n_slots, n_frames = self.frame_log.frames.shape
         self.frame_log = make_log(n_slots, n_frames, n_places)
-        self._outcome = self._outcome._replace(log=self.frame_log)
+        self._results = self._results._replace(log=self.frame_log)
 
     def roads_ahead(self, chosen: Sequence[int], count: int) -> Ints:
         """Return the next roads of the egos' routes in the chosen sub-environments, shape (chosen, count).
@@ -193,8 +195,8 @@ class HighwayVectorEnv(LockStepVectorEnv):
     @property
     def _rows(self) -> tuple[Array, ...]:
         """The arrays that hold the episodes, one row for each sub-environment."""
-        outcome = self._outcome
-        return *self._slots, self._engine.words, outcome.numbers.T, outcome.flags.T, self._observations
+        results = self._results
+        return *self._slots, self._engine.words, results.numbers.T, results.flags.T, self._observations
 
     def _begin(
         self,
@@ -203,7 +205,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         draws: Mapping[int, Floats] = MappingProxyType({}),
         logs_start: bool = False,
     ) -> None:
-        """Begin episodes in the chosen slots, shape (num_envs,)."""
+        """Begin episodes in the chosen slots, shape (num_envs,), some of them by given starts or with given draws."""
         actions: Array = self._sampled_space.sample()
         own = mask.copy()
         seen: dict[int, Array] = {}
@@ -227,14 +229,14 @@ class HighwayVectorEnv(LockStepVectorEnv):
 
     def _compile(self) -> Callable[..., int]:
         """Compile the kernel for the types of this environment's arrays, or read it from the cache."""
-        state = (self._engine, self._slots, self._scratch, self._outcome)
+        state = (self._engine, self._slots, self._scratch, self._results)
         return compiled_for(advance, *state, self._everywhere, self._actions, DECISION, False)
 
     def _advance(self, stage: int, mask: Bools, actions: Array, *, logs_start: bool = False) -> int:
         """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended."""
         self._put(actions)
         n_ended = self._advance_slots(
-            self._engine, self._slots, self._scratch, self._outcome, mask, self._actions, stage, logs_start
+            self._engine, self._slots, self._scratch, self._results, mask, self._actions, stage, logs_start
         )
         if n_ended == REFUSED:
             check_actions(self.action_space, actions)

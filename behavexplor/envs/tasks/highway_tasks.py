@@ -32,7 +32,7 @@ MOST_TERMS: Final = max(len(kind.terms) for kind in KINDS)
 
 
 def goal_lanes(env: AbstractEnv) -> Callable[[LaneIndex], bool]:
-    """Return which lanes `is_goal` marks in an environment."""
+    """Return the function that says which lanes of an environment are goals."""
     number = next((number for cls, number in NUMBERS.items() if isinstance(env, cls)), None)
     return lambda index: number is not None and KINDS[number].is_goal(index, env.config)
 

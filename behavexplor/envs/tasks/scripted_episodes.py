@@ -1,4 +1,4 @@
-"""Episodes with scripted vehicles, compiled and in lock-step, for the single and the vector environment."""
+"""Compiled episodes with scripted vehicles, in lock-step, and what of an environment they do not support."""
 
 from collections.abc import Iterable
 from typing import Any, Final
@@ -24,8 +24,8 @@ from behavexplor.envs.tasks.scripted_world import make_world
 from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for
 
-WHOLE: Final = 2**31 - 1  # number of frames of a decision: all of them
-_ALL: Final = np.ones(1, dtype=bool)
+WHOLE: Final = 2**31 - 1  # `n_frames` for a whole decision
+_ALL: Final = np.ones(1, dtype=bool)  # the only slot is chosen
 
 
 class ScriptedEpisodes:
@@ -42,10 +42,10 @@ class ScriptedEpisodes:
         self._n_waypoints = self.slots.phases.shape[2] - 1
         self._commands = make_commands(env.action_type)
         self._weights = env.config["reward"]
-        self._seen = self._observed(env.observation_type)
-        self.observes = bool(self._seen)
-        shape, kind = (env.observation_space.shape or (), env.observation_space.dtype) if self._seen else ((), None)
-        self.observations: Array = np.zeros((n_slots, *shape), dtype=kind)
+        self._observe_arguments = self._arguments_for(env.observation_type)
+        self.observes = bool(self._observe_arguments)  # whether the engine knows the observation
+        space = env.observation_space
+        self.observations: Array = np.zeros((n_slots, *(space.shape or ())), dtype=space.dtype)
         self._compile(n_slots)
 
     @property
@@ -88,7 +88,7 @@ class ScriptedEpisodes:
 
     def observe(self, chosen: Bools) -> None:
         """Renew the observations of the chosen slots, shape (n_slots,)."""
-        self._observe_slots(*self._seen, chosen, self.observations)
+        self._observe_slots(*self._observe_arguments, chosen, self.observations)
 
     def terms(self, active: Bools) -> Floats:
         """Return the terms of the rewards of the latest decision; see `behavexplor.envs.tasks.scripted_outcome`."""
@@ -96,10 +96,11 @@ class ScriptedEpisodes:
 
     def trace(self, b: int, first: int = 0) -> Trace:
         """Return the trace of the episode that has ended in slot b, from a frame on."""
-        runs, n_vehicles = self.slots.runs, int(self.slots.state.episodes["n_vehicles"][b])
-        frames, traits = int(runs["frame"][b]) + 1, self.slots.state.traits[b, :n_vehicles]
-        decisions, sizes = np.arange(0, frames - 1, self._substeps), np.empty((n_vehicles, 2))
-        skipped = -(-first // self._substeps)  # decisions before that frame
+        run, n_vehicles = self.slots.runs[b], int(self.slots.state.episodes["n_vehicles"][b])
+        frames = int(run["frame"]) + 1
+        decisions = np.arange(0, frames - 1, self._substeps)  # their frames
+        skipped = -(-first // self._substeps)  # decisions before the first frame
+        traits, sizes = self.slots.state.traits[b, :n_vehicles], np.empty((n_vehicles, 2))
         sizes[:, 0], sizes[:, 1] = traits["length"], traits["width"]
         motion = np.empty((frames - first, n_vehicles - 1, N_COLUMNS))
         self._fill_table(*self._motion_of(b), self._time[first:frames], motion)
@@ -111,7 +112,7 @@ class ScriptedEpisodes:
             sizes=sizes,
             actions=self.slots.actions[b, skipped : len(decisions)],
             action_frames=decisions[skipped:] - first,
-            end=ENDS[runs["end"][b]],
+            end=ENDS[run["end"]],
         )
 
     def ending(self, b: int) -> Trace | None:
@@ -123,7 +124,7 @@ class ScriptedEpisodes:
         has_touched = 0 <= run["line_frame"] < run["frame"]
         return None if has_touched or ENDS[run["end"]] != ARRIVED else self.trace(b, max(int(run["frame"]) - 1, 0))
 
-    def _observed(self, observation: Any) -> tuple[Any, ...]:
+    def _arguments_for(self, observation: Any) -> tuple[Any, ...]:
         """Return the arguments of the kernel that observes; none if the engine does not know the observation."""
         if type(observation) is SceneObservation:
             return (self.slots,)
@@ -142,8 +143,9 @@ class ScriptedEpisodes:
         mask = np.zeros(n_slots, dtype=bool)
         given = np.zeros((n_slots, self._n_values)), np.zeros((n_slots, 2)), mask, np.zeros((2, n_slots), dtype=bool)
         self._step_slots: Any = compiled_for(step, self.world, self.slots, *given, WHOLE)
-        observe: Any = observe_scene if len(self._seen) == 1 else observe_kinematics
-        self._observe_slots: Any = compiled_for(observe, *self._seen, mask, self.observations) if self._seen else None
+        if self.observes:
+            observe: Any = observe_scene if len(self._observe_arguments) == 1 else observe_kinematics
+            self._observe_slots: Any = compiled_for(observe, *self._observe_arguments, mask, self.observations)
         npcs = npc_arrays([], self.logical.roadmap, self._n_waypoints)
         self._begin_slots = compiled_for(begin_episodes, self.world, self.slots, np.flatnonzero(mask), *npcs)
         table = np.empty((1, 1, N_COLUMNS))
@@ -151,7 +153,7 @@ class ScriptedEpisodes:
 
 
 def odd_method(env: Any, known: type, free: frozenset[str] = frozenset()) -> str | None:
-    """Return a method that a class overrides, but for free names; None if there is none."""
+    """Return a method of `known` that an environment's class replaces and that is not in `free`; None without one."""
     rule = replaced(type(env), known, free | {"logical"})
     return rule and f"the method {rule}"
 

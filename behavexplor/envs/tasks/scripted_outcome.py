@@ -53,11 +53,11 @@ def episode_trace(
     action_frames: Ints,
     end: str,
 ) -> Trace:
-    """Build the trace of a finished episode of T frames, in which the given sizes become part.
+    """Build the trace of a finished episode of T frames at the times `time` [s], shape (T,).
 
-    The ego has poses, shape (T,) of `POSE`; the NPCs have a motion table, shape (T, n_npcs, 5); sizes are length and
-    width, the ego's first, shape (1 + n_npcs, 2) [m]; the actions, shape (D, A), were given at some of the frames,
-    shape (D,); the end is one of `ENDS`.
+    `ego` has its poses, shape (T,) of `POSE`, and `motion` is the NPCs' motion table, shape (T, n_npcs, 5). `sizes` has
+    lengths and widths, the ego's first, shape (1 + n_npcs, 2) [m]; the array becomes part of the trace. The `actions`,
+    shape (D, A), were given at the frames `action_frames`, shape (D,). `end` is one of `ENDS`.
     """
     shape = len(time), len(sizes)
     position, heading, velocity = np.empty((*shape, 2)), np.empty(shape), np.empty((*shape, 2))
@@ -142,7 +142,7 @@ def _fill_terms(weights: Floats, runs: Records, active: Bools, terms: Floats) ->
         if not active[b]:
             continue
         run = runs[b]
-        happened = (
+        happened = (  # in the order of `TERMS`
             run.progress,
             1.0,
             run.mean_acceleration**2,

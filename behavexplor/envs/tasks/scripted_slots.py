@@ -31,13 +31,13 @@ from behavexplor.jit import kernel_in_place, kernel_inner
 
 Run: TypeAlias = np.record
 
-RUNNING, IDLE = -1, -2  # `end` if no episode has ended; otherwise it is an index of `behavexplor.data.trace.ENDS`
+RUNNING, IDLE = -1, -2  # `end` while an episode runs, and before the first one
 
 RUN: Final = record_type(
     frame=np.int64,  # the latest one
     standing=np.int64,  # number of frames for which the ego has stood still
     line_frame=np.int64,  # at which it first touched an illegal line; -1: none
-    end=np.int64,
+    end=np.int64,  # RUNNING, IDLE or an index of `behavexplor.data.trace.ENDS`
     progress=np.float64,  # along the route in the latest decision [m]
     mean_acceleration=np.float64,  # in the latest decision [m/s2]
     touched=np.bool_,  # whether the ego touched an illegal line for the first time in the latest decision
@@ -62,7 +62,7 @@ class ScriptedSlots(NamedTuple):
 def make_slots(
     n_slots: int, n_frames: int, shape_of_actions: tuple[int, int], logical: ScriptedLogicalScenario
 ) -> ScriptedSlots:
-    """Create slots without episodes."""
+    """Create slots without episodes, for up to `n_frames` frames and actions of the given shape (D, A)."""
     npcs, routes = logical.n_npcs, logical.roadmap.npc_routes
     n_phases = 1 + max(len(logical.position_ranges(route)) for route in routes)
     n_steps = max(len(route.lanes) for route in (logical.roadmap.ego_route, *routes))
@@ -88,13 +88,12 @@ def begin_episodes(
     sizes: Floats,
     waypoints: Floats,
 ) -> bool:
-    """Begin an episode in each chosen slot. The NPCs of all these episodes follow one another in the arrays.
+    """Begin an episode in each chosen slot. Return whether its NPCs have room; if some have not, nothing is changed.
 
-    Return whether they have room in the slots. If not, nothing is changed.
-
-    `chosen` are numbers of slots, and `counts` their numbers of NPCs. Routes are rows, shape (n_npcs,), sizes of the
-    shape (n_npcs, 2) [m], and waypoints, positions [m] and speeds [m/s], are padded with copies of the last one, shape
-    (n_npcs, waypoints, 2).
+    `chosen` has the numbers of E slots, and `counts` the number of NPCs in each, shape (E,). The NPCs of all episodes
+    follow one another in the other arrays. `routes` has the row of each one's route, shape (n_npcs,), `sizes` its
+    length and width, shape (n_npcs, 2) [m], and `waypoints` its positions [m] and speeds [m/s], padded with copies of
+    the last one, shape (n_npcs, waypoints, 2).
     """
     n_npcs = 0
     for k in range(len(chosen)):

@@ -221,7 +221,7 @@ def observe_kinematics(
     """Fill the Kinematics observations of the chosen slots, shape (B, vehicles_count, features)."""
     shows_lanes = False
     for k in range(len(view.columns)):
-        shows_lanes |= view.columns[k].feature >= LONG_OFF
+        shows_lanes |= view.columns[k].feature >= LONG_OFF  # the features from there on tell the place in the lane
     state = slots.state
     for b in range(len(chosen)):
         if not chosen[b]:

@@ -21,8 +21,8 @@ Config: TypeAlias = Mapping[str, Any]
 
 DRAWN: Final = -1  # a lane or destination that is drawn at each reset
 NO_TERM: Final = -1
-INTEGER: Final = 0  # a number of Python; of two kinds of numbers, the greater one prevails in their sum
-FLOAT: Final = 1  # another one of Python
+INTEGER: Final = 0  # kind of number: Python's `int`; a sum is of the greatest kind among its numbers
+FLOAT: Final = 1  # Python's `float`
 NUMPY: Final = 2  # a number of numpy
 
 TERM: Final = record_type(
