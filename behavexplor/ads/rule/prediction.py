@@ -6,20 +6,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from behavexplor.ads.road.lane_arrays import (
-    COS,
-    CURVATURE,
-    HEADING,
-    LENGTH,
-    N_COLUMNS,
-    SIN,
-    X,
-    Y,
-    lane_array,
-    offset_on_lane,
-    pose_on_lane,
-    project_on_lane,
-)
+from behavexplor.ads.road import lane_arrays
+from behavexplor.ads.road.lane_arrays import COS, CURVATURE, HEADING, LENGTH, N_COLUMNS, SIN, X, Y
 from behavexplor.ads.road.path import Path, is_straight, locate_on_path, project_on_path
 from behavexplor.ads.rule.control import LateralProfile, offset_at
 from behavexplor.ads.rule.parameters import Numbers
@@ -76,7 +64,7 @@ def _lanes_of(roadmap: RoadMap) -> tuple[Floats, Ints, Floats, Bools]:
     lines = [lane.pose(np.linspace(0.0, lane.length, math.ceil(lane.length) + 1))[:, :2] for lane in lanes]
     around = [[*line.min(axis=0), *line.max(axis=0)] for line in lines] + [[0.0] * 4]
     near = [*(_distance(line, way) <= limit for line in lines), True]
-    rows = np.vstack([lane_array(lanes), np.zeros(N_COLUMNS)])
+    rows = np.vstack([lane_arrays.lane_array(lanes), np.zeros(N_COLUMNS)])
     return rows, np.array(padded, dtype=np.int64), np.array(around), np.array(near)
 
 
@@ -131,9 +119,9 @@ def _fits(ways: LaneGraph, lane: int, x: float, y: float, heading: float, p: Num
         return False, 0.0
     if y < around[lane, 1] - margin or y > around[lane, 3] + margin:
         return False, 0.0
-    if abs(offset_on_lane(lanes, lane, x, y)) > p.match_offset:
+    if abs(lane_arrays.offset_on_lane(lanes, lane, x, y)) > p.match_offset:
         return False, 0.0
-    station, _ = project_on_lane(lanes, lane, x, y)
+    station, _ = lane_arrays.project_on_lane(lanes, lane, x, y)
     if not 0.0 <= station <= lanes[lane, LENGTH]:
         return False, station
     along = lanes[lane, HEADING] + lanes[lane, CURVATURE] * station
@@ -207,7 +195,7 @@ def _fill(path: Path, lanes: Floats, table: Floats) -> None:
 @kernel_inner
 def _offset(path: Path, lanes: Floats, lane: int, station: float) -> tuple[float, float]:
     """Return the offset of a station of a lane from the route [m], and the sine of the angle there, 1 on curves."""
-    x, y, _ = pose_on_lane(lanes, lane, station)
+    x, y, _ = lane_arrays.pose_on_lane(lanes, lane, station)
     nearest, there, offset = locate_on_path(path, x, y)
     if lanes[lane, CURVATURE] != 0.0 or not is_straight(path, nearest, there - AROUND, there + AROUND):
         return offset, 1.0
