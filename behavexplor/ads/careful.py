@@ -57,7 +57,7 @@ class CarefulDriver:
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Ints, Any]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`. Observations have the shape (B, 15, 7)."""
-        last = np.flatnonzero(observation[..., 0].any(axis=0)).max(initial=1)  # row of a vehicle that any ego sees
+        last = np.flatnonzero(observation[..., 0].any(axis=0)).max(initial=1)  # last row with a vehicle, at least 1
         seen = np.moveaxis(observation[:, : last + 1], -1, 0)
         presence, x, y, vx, vy, cos, sin = np.asarray(seen, dtype=np.float64, order="C")
         present = presence[:, 1:] > 0

@@ -87,20 +87,19 @@ def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDrive
     Raises:
         InputError: if the variant is neither one or two such numbers nor a meta-action, or is not possible there.
     """
-    is_maneuver = variant in MANEUVERS
-    is_theirs = roadmap is None
-    if is_maneuver and not is_theirs:
+    in_highway_env = roadmap is None
+    if variant in MANEUVERS and not in_highway_env:
         raise InputError(
             f"constant:{variant} drives in highway-env's own environments only: use an acceleration [m/s2] here, such "
             f"as constant:2"
         )
-    if is_theirs and not is_maneuver:
+    if variant in MANEUVERS:
+        return ConstantManeuver(variant)
+    if in_highway_env:
         raise InputError(
             "In an environment of highway-env, the constant driver repeats a meta-action, such as constant:SLOWER: "
             f"name one of {', '.join(MANEUVERS)}"
         )
-    if is_maneuver:
-        return ConstantManeuver(variant)
     number = r"[-+]?\d*\.?\d+"
     if not re.fullmatch(rf"{number}(,{number})?", variant or DEFAULT):
         raise InputError(

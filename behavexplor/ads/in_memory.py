@@ -26,7 +26,7 @@ class GivenDriver:
     is_named: bool = False  # whether the user gave its name
 
     def trained_in(self, env: Any) -> Any:
-        """Return the environment that was chosen, or else that in which the driver was trained; None if unknown.
+        """Return `env` if one was chosen, or else the environment in which the driver was trained; None if unknown.
 
         Raises:
             InputError: if the files beside a policy name an environment of another package.

@@ -71,9 +71,9 @@ class StochasticADS(Protocol):
     noise: int
 
     def draw(self, observation: Any, state: Any, episode_start: Bools | None, noise: Floats) -> tuple[Array, Any]:
-        """Draw the actions of a batch of egos by independent uniform numbers in [0, 1), shape (B, `noise`).
+        """Draw the actions of a batch of egos by `noise`, independent uniform numbers in [0, 1), shape (B, self.noise).
 
-        The same numbers give the same actions. The rest is that of `ADS.predict`.
+        The same numbers give the same actions. For the rest, see `ADS.predict`.
         """
         ...
 

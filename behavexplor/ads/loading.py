@@ -155,6 +155,55 @@ def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection
     return LearnedDriver(roads, trained_network(network, rule))
 
 
+def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
+    """Return the object of a name if it is an ADS, or else the ADS that it makes."""
+    ads = as_driver(found)
+    if ads is None:
+        if not callable(found):
+            raise InputError(f"{name!r} is not an ADS: it has no predict method and cannot make an object that has one")
+        made = _call(name, found, roadmap)
+        ads = None if isinstance(made, type) else as_driver(made)
+        if ads is None:
+            raise InputError(f"{name!r} is not an ADS: the object that it makes, {made!r:.80}, has no predict method")
+    return ads
+
+
+def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap | None) -> Any:
+    """Call a class or function, with the road map if it has a parameter `roadmap`."""
+    keywords = {"roadmap": roadmap} if "roadmap" in parameters_of(factory) else {}
+    missing = [repr(one.name) for one in needed_parameters(factory) if one.name not in keywords]
+    if missing:
+        raise InputError(
+            f"The ADS {name!r} cannot be created: it needs {' and '.join(missing)}, and is called with no arguments; "
+            "name an object with a predict method, a function of one observation, or a class that needs no arguments"
+        )
+    try:
+        return factory(**keywords)
+    except Exception as error:
+        raise InputError(f"The ADS {name!r} cannot be created: {described(error)}") from error
+
+
+def as_driver(found: Any) -> ADS | None:
+    """Return an object with a `predict` method as it is, and a function of one observation as a driver.
+
+    None for anything else, such as a class.
+
+    Raises:
+        InputError: if the attribute `predict` cannot be looked up.
+    """
+    if isinstance(found, type):
+        return None
+    try:
+        predicts = callable(getattr(found, "predict", None))
+    except Exception as error:  # a property can raise anything
+        raise InputError(f"The predict method of the driver cannot be looked at: {described(error)}") from error
+    if predicts:
+        return cast("ADS", found)
+    if callable(found) and takes_one_observation(found):
+        return cast("ADS", FunctionDriver(found))
+    return None
+
+
 class FunctionDriver:
     """A function from one observation to one action, which drives one episode at a time.
 
@@ -196,52 +245,6 @@ def _row(action: Any) -> Array:
 def _first(rows: Array) -> Array:
     first: Array = rows[0]
     return first
-
-
-def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
-    """Return the object of a name if it is an ADS, or else the ADS that it makes."""
-    ads = as_driver(found)
-    if ads is None:
-        if not callable(found):
-            raise InputError(f"{name!r} is not an ADS: it has no predict method and cannot make an object that has one")
-        made = _call(name, found, roadmap)
-        ads = None if isinstance(made, type) else as_driver(made)
-        if ads is None:
-            raise InputError(f"{name!r} is not an ADS: the object that it makes, {made!r:.80}, has no predict method")
-    return ads
-
-
-def as_driver(found: Any) -> ADS | None:
-    """Return an object with a `predict` method as it is, and a function of one observation as a driver.
-
-    None is for anything else, such as a class.
-    """
-    if isinstance(found, type):
-        return None
-    try:
-        predicts = callable(getattr(found, "predict", None))
-    except Exception as error:  # a property can raise anything
-        raise InputError(f"The predict method of the driver cannot be looked at: {described(error)}") from error
-    if predicts:
-        return cast("ADS", found)
-    if callable(found) and takes_one_observation(found):
-        return cast("ADS", FunctionDriver(found))
-    return None
-
-
-def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap | None) -> Any:
-    """Call a class or function, with the road map if it has a parameter `roadmap`."""
-    keywords = {"roadmap": roadmap} if "roadmap" in parameters_of(factory) else {}
-    missing = [repr(one.name) for one in needed_parameters(factory) if one.name not in keywords]
-    if missing:
-        raise InputError(
-            f"The ADS {name!r} cannot be created: it needs {' and '.join(missing)}, and is called with no arguments; "
-            "name an object with a predict method, a function of one observation, or a class that needs no arguments"
-        )
-    try:
-        return factory(**keywords)
-    except Exception as error:
-        raise InputError(f"The ADS {name!r} cannot be created: {described(error)}") from error
 
 
 def takes_one_observation(function: Callable[..., Any]) -> bool:

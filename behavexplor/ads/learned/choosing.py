@@ -1,4 +1,4 @@
-"""Decisions for the outputs of a policy's network, the preferences of its actions; and the tracker that follows them.
+"""Decisions by a network's outputs, which are preferences of actions; and the tracker that drives by the decisions.
 
 The probabilities of the actions are the softmax of the preferences. PPO and similar algorithms train a policy that
 draws its actions with them. Drawn several times a second, the accelerations average out, so the deterministic driver
@@ -40,7 +40,7 @@ class Decisions(NamedTuple):
     """Decisions of a batch of egos."""
 
     accelerations: Floats  # wanted accelerations [m/s2], shape (B,)
-    lanes: Ints  # lane choices of `behavexplor.ads.learned.choosing`, shape (B,)
+    lanes: Ints  # lane choices: `KEEP`, `LEFT`, `RIGHT` or `HOME`, shape (B,)
 
 
 def as_decisions(actions: Ints) -> Decisions:
@@ -52,8 +52,8 @@ def as_decisions(actions: Ints) -> Decisions:
 def choose(preferences: Floats, accelerations: Floats, rule: int, share: float) -> tuple[float, int]:
     """Return the wanted acceleration [m/s2] and the lane choice of one ego.
 
-    By `MEAN`, it is the mean acceleration and the most probable lane choice; by `MOST_PROBABLE`, the first most
-    probable action; by `DRAWN`, the one at `share` of the cumulative probabilities, in [0, 1).
+    The rule `MEAN` takes the mean acceleration and the most probable lane choice; `MOST_PROBABLE` the most probable
+    action, the first of several; and `DRAWN` the action at `share`, in [0, 1), of the cumulative probabilities.
 
     `preferences` are the outputs of the network, shape (N_ACTIONS,), and `accelerations` those of the actions of one
     lane choice, shape (N_ACTIONS / N_LANE_CHOICES,) [m/s2].
@@ -117,8 +117,8 @@ def begin(course: Course, scene: Floats, memory: Floats) -> None:
 def track(course: Course, scene: Floats, wanted: float, choice: int, memory: Floats) -> tuple[float, float]:
     """Return acceleration [m/s2] and steering angle [rad] for a decision.
 
-    It is the `wanted` acceleration [m/s2] and a lane choice. The scene has the shape (1 + n, 8), see
-    `behavexplor.data.scene`, and the ego's memory, shape (N_MEMORIES,), is changed in place.
+    The decision is the `wanted` acceleration [m/s2] and a lane choice. The scene has the shape (1 + n, 8), see
+    `behavexplor.data.scene`. The ego's memory, shape (N_MEMORIES,), is changed in place.
     """
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     row = row_at(course.path, station)

@@ -45,8 +45,7 @@ def ego_path(
 ) -> Path:
     """Make the ego's path from its route and the lanes beside it.
 
-    Its limits of speed are such that the lateral acceleration in curves, and the braking before them, are at most the
-    given ones [m/s2].
+    Its limits keep the lateral acceleration in curves, and the deceleration before them, within the given ones [m/s2].
     """
     route = roadmap.ego_route
     inside = [i for i, lane in enumerate(route.lanes) if lane.junction]

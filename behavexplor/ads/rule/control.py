@@ -1,4 +1,4 @@
-"""Control: steering and acceleration for highway-env's bicycle model, with limited rates of change."""
+"""Control: profiles that keep or change the lane, and steering and acceleration with limited rates of change."""
 
 import math
 from typing import Final, NamedTuple
@@ -61,8 +61,8 @@ def steer(
 ) -> float:
     """Return the steering angle [rad] by pure pursuit: the circle through a point ahead on the path.
 
-    The bicycle model turns about its center with sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip),
-    and moves along heading + slip. Solved for the slip, the circle through the point is exact.
+    In highway-env's bicycle model, sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip). It turns about its
+    center, and moves along heading + slip. Solved for the slip, the circle through the point is exact.
     """
     away = p.look_ahead + p.look_ahead_time * scene[EGO, SPEED]
     if memory.sharp == 1.0:  # a short lane change is steered with a short look-ahead (R2-2)

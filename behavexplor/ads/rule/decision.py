@@ -9,6 +9,7 @@ from behavexplor.ads.rule import station_time
 from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.speed_search import SpeedPlan
+from behavexplor.ads.rule.station_time import StationTime
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, note
 from behavexplor.data.array_types import Ints
 from behavexplor.jit import kernel_inner
@@ -52,7 +53,7 @@ def waiting_station(path: Path, station: float, speed: float, half_length: float
 
 
 @kernel_inner
-def crosses_freely(path: Path, graph: station_time.StationTime, plan: SpeedPlan, half_length: float) -> bool:
+def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length: float) -> bool:
     """Return whether a plan stays before the junction, or crosses it without stopping or coming too close to a vehicle.
 
     There must be room beyond the junction: no vehicle ahead may end up where the ego would have to stop inside.
@@ -95,7 +96,7 @@ def restarts_hastily(crosses: bool, memory: Memory, bits: Ints, p: Numbers) -> b
 
 
 @kernel_inner
-def waits_for_ever(graph: station_time.StationTime, memory: Memory, bits: Ints, p: Numbers) -> bool:
+def waits_for_ever(graph: StationTime, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether a standing ego waits for a vehicle that hardly moves across its way (weakness R3-4)."""
     if memory.waited == 0.0 or not _deadlocked(graph, memory, p):
         return False
@@ -104,13 +105,13 @@ def waits_for_ever(graph: station_time.StationTime, memory: Memory, bits: Ints, 
 
 
 @kernel_inner
-def _deadlocked(graph: station_time.StationTime, memory: Memory, p: Numbers) -> bool:
+def _deadlocked(graph: StationTime, memory: Memory, p: Numbers) -> bool:
     """Return whether the gate of weakness R3-4 is open."""
     return bool(p.deadlock > 0.0 and memory.stood >= p.deadlock_after and _slowest(graph) < p.deadlock)
 
 
 @kernel_inner
-def _slowest(graph: station_time.StationTime) -> float:
+def _slowest(graph: StationTime) -> float:
     """Return the least speed of the vehicles that cross or lead [m/s], infinity without any."""
     slowest = np.inf
     for k in range(station_time.N_INTERVALS):
@@ -120,7 +121,7 @@ def _slowest(graph: station_time.StationTime) -> float:
 
 
 @kernel_inner
-def shorten(graph: station_time.StationTime, outlook: float) -> None:
+def shorten(graph: StationTime, outlook: float) -> None:
     """Remove the vehicles that cross or merge later than an outlook [s]."""
     for k in range(station_time.N_INTERVALS):
         if k * station_time.INTERVAL < outlook:
@@ -135,9 +136,7 @@ def shorten(graph: station_time.StationTime, outlook: float) -> None:
 
 
 @kernel_inner
-def may_creep(
-    graph: station_time.StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers
-) -> bool:
+def may_creep(graph: StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether an ego that has stood for long may move on a little: no vehicle is or comes close ahead of it."""
     if memory.stood < p.creep_after or station + CREEP_ROOM / 2 > limit:
         return False
@@ -153,9 +152,7 @@ def may_creep(
 
 
 @kernel_inner
-def creep(
-    graph: station_time.StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers
-) -> bool:
+def creep(graph: StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether the ego creeps now. Once begun, creeping goes on for `CREEP_TIME`."""
     if memory.creeps <= 0.0 and may_creep(graph, station, limit, memory, bits, p):
         memory.creeps = CREEP_TIME

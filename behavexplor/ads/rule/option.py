@@ -1,27 +1,17 @@
-"""Options: a path with a speed along it, free, searched or in escape; and a wait before a junction."""
+"""Options: a path with the best speed along it, and a wait before a junction that cannot be crossed."""
 
 import math
 from typing import Final, NamedTuple
 
 from behavexplor.ads.road.path import Path, limit_at
-from behavexplor.ads.rule import decision
+from behavexplor.ads.rule import decision, station_time
 from behavexplor.ads.rule.control import PERIOD, LateralProfile
 from behavexplor.ads.rule.lane_choice import EgoState, cuts_in, lane_wall
 from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph
 from behavexplor.ads.rule.speed_search import ACCELERATIONS, Nodes, Situation, SpeedPlan, moved, search, stops_inside
-from behavexplor.ads.rule.station_time import (
-    COST,
-    HARD_HIGH,
-    HARD_LOW,
-    INTERVAL,
-    N_INTERVALS,
-    SOFT_HIGH,
-    SOFT_LOW,
-    StationTime,
-    project_obstacles,
-)
+from behavexplor.ads.rule.station_time import COST, HARD_HIGH, HARD_LOW, INTERVAL, N_INTERVALS, SOFT_HIGH, SOFT_LOW
 from behavexplor.ads.rule.weaknesses import R1_5, note
 from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_inner
@@ -29,11 +19,76 @@ from behavexplor.jit import kernel_inner
 RESPONSE: Final = 0.3  # time in which the free speed is reached [s]
 
 
+class Surroundings(NamedTuple):
+    """Input of one decision apart from the memory, and working space."""
+
+    path: Path  # path of the ego
+    ways: LaneGraph  # lanes of the map, and the ways on along them
+    scene: Floats  # scene, shape (1 + n, 8), see `behavexplor.data.scene`
+    others: Floats  # working space for the table of other vehicles, see `behavexplor.ads.rule.traffic`
+    graph: station_time.StationTime  # working space for the station-time graph
+    nodes: Nodes  # working space for the search of the speed
+    p: Numbers  # parameters of the planner
+
+
+class Option(NamedTuple):
+    """A path and a speed that the ego may choose."""
+
+    profile: LateralProfile  # offset of the path from the route
+    plan: SpeedPlan  # speed plan along the path
+    yields: bool  # True if the ego waits before the junction
+    crosses: bool  # True if the ego could cross the junction
+    limit: float  # station up to which the ego may creep [m]
+
+
+@kernel_inner
+def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lane: int, memory: Memory) -> Option:
+    """Plan the speed along a profile, with a wait before a junction that cannot be crossed."""
+    path, graph, p = world.path, world.graph, world.p
+    blind = -math.inf
+    if cuts_in(ego, p) and profile.length > 0.0:
+        blind = p.cut_in * 2 * ego.half_length
+        note(graph.bits, R1_5, False)
+    elif memory.ignores == 1.0:
+        blind = 0.0
+    station_time.project_obstacles(path, profile, world.ways, world.scene, ego.station, blind, p, graph)
+    if memory.restarted > 0.0:
+        decision.shorten(graph, decision.RESTART_OUTLOOK)
+    wall = math.inf if memory.overrun == 1.0 else lane_wall(path, ego, lane, p)
+    can_wait = decision.can_wait(path, ego.station, ego.speed, ego.half_length, p)
+    caution = 1.0 if can_wait or decision.passed(path, ego.station, ego.half_length) else p.committed_caution
+    last = memory.last_acceleration
+    situation = Situation(path, graph, ego.half_length, wall, caution, memory.cost, p)
+    plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
+    memory.cost = plan.cost
+    if not can_wait:
+        return Option(profile, plan, False, True, wall)
+    crosses = decision.crosses_freely(path, graph, plan, ego.half_length)
+    if decision.restarts_hastily(crosses, memory, graph.bits, p):
+        decision.shorten(graph, decision.RESTART_OUTLOOK)
+        plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
+        crosses = decision.crosses_freely(path, graph, plan, ego.half_length)
+    if crosses and decision.waits_for_ever(graph, memory, graph.bits, p):
+        crosses = False
+    clear = memory.clear + PERIOD if crosses else 0.0
+    limit = min(wall, path.junction_start - ego.half_length + p.line_overrun)
+    yields = not crosses or (memory.decision == decision.YIELD and clear < p.clear_time)
+    if yields:
+        line = min(wall, decision.waiting_station(path, ego.station, ego.speed, ego.half_length, p))
+        waiting = Situation(path, graph, ego.half_length, line, caution, memory.waiting_cost, p)
+        wait = plan_speed(waiting, ego.station, ego.speed, last, world.nodes)
+        memory.waiting_cost = wait.cost
+        if wait.survived >= plan.survived:
+            plan = wait
+    return Option(profile, plan, yields, crosses, limit)
+
+
 @kernel_inner
 def plan_speed(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """Plan the speed along the path: drive freely if possible, else search for the best motion, else escape.
 
-    `acceleration` is the last one that was commanded [m/s2]; `nodes` are working space.
+    The ego is at `station` [m] and has the `speed` [m/s]; `acceleration` is its last command [m/s2]. `nodes` are
+    working space.
     """
     plan = _drive_freely(situation, station, speed)
     if plan.survived == N_INTERVALS and plan.risk == 0.0 and plan.inside == 0.0:
@@ -53,6 +108,7 @@ def free_acceleration(path: Path, station: float, speed: float, p: Numbers) -> f
 
 @kernel_inner
 def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPlan:
+    """Return the plan of a free road, which ends at the first contact."""
     path, p = situation.path, situation.p
     first = free_acceleration(path, station, speed, p)
     s, v, risk, inside = station, speed, 0.0, 0.0
@@ -89,7 +145,7 @@ def _meet(situation: Situation, k: int, s: float, ahead: float) -> tuple[bool, f
 
 @kernel_inner
 def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
-    """Return the acceleration with the latest contact, for when no motion is free of contact.
+    """Return a plan of the acceleration with the latest contact, for when no motion is free of contact.
 
     Among accelerations with equally late contact, the hardest braking is chosen.
     """
@@ -114,67 +170,3 @@ def _first_contact(situation: Situation, s: float, v: float, a: float) -> int:
                 return k
         s, v = ahead, after
     return N_INTERVALS
-
-
-class Surroundings(NamedTuple):
-    """Input of one decision apart from the memory, and working space."""
-
-    path: Path  # path of the ego
-    graph: LaneGraph  # lanes of the map
-    scene: Floats  # scene, shape (1 + n, 8), see `behavexplor.data.scene`
-    others: Floats  # working space for the table of other vehicles, see `behavexplor.ads.rule.traffic`
-    room: StationTime  # working space for the station-time graph
-    nodes: Nodes  # working space for the search of the speed
-    p: Numbers  # parameters of the planner
-
-
-class Option(NamedTuple):
-    """A path and a speed that the ego may choose."""
-
-    profile: LateralProfile  # offset of the path from the route
-    plan: SpeedPlan  # speed plan along the path
-    yields: bool  # True if the ego waits before the junction
-    crosses: bool  # True if the ego could cross the junction
-    limit: float  # station up to which the ego may creep [m]
-
-
-@kernel_inner
-def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lane: int, memory: Memory) -> Option:
-    """Plan the speed along a profile, with a wait before a junction that cannot be crossed."""
-    path, room, p = world.path, world.room, world.p
-    blind = -math.inf
-    if cuts_in(ego, p) and profile.length > 0.0:
-        blind = p.cut_in * 2 * ego.half_length
-        note(room.bits, R1_5, False)
-    elif memory.ignores == 1.0:
-        blind = 0.0
-    project_obstacles(path, profile, world.graph, world.scene, ego.station, blind, p, room)
-    if memory.restarted > 0.0:
-        decision.shorten(room, decision.RESTART_OUTLOOK)
-    wall = math.inf if memory.overrun == 1.0 else lane_wall(path, ego, lane, p)
-    waits = decision.can_wait(path, ego.station, ego.speed, ego.half_length, p)
-    caution = 1.0 if waits or decision.passed(path, ego.station, ego.half_length) else p.committed_caution
-    last = memory.last_acceleration
-    situation = Situation(path, room, ego.half_length, wall, caution, memory.cost, p)
-    plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
-    memory.cost = plan.cost
-    if not waits:
-        return Option(profile, plan, False, True, wall)
-    crosses = decision.crosses_freely(path, room, plan, ego.half_length)
-    if decision.restarts_hastily(crosses, memory, room.bits, p):
-        decision.shorten(room, decision.RESTART_OUTLOOK)
-        plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
-        crosses = decision.crosses_freely(path, room, plan, ego.half_length)
-    if crosses and decision.waits_for_ever(room, memory, room.bits, p):
-        crosses = False
-    clear = memory.clear + PERIOD if crosses else 0.0
-    limit = min(wall, path.junction_start - ego.half_length + p.line_overrun)
-    yields = not crosses or (memory.decision == decision.YIELD and clear < p.clear_time)
-    if yields:
-        line = min(wall, decision.waiting_station(path, ego.station, ego.speed, ego.half_length, p))
-        waiting = Situation(path, room, ego.half_length, line, caution, memory.waiting_cost, p)
-        wait = plan_speed(waiting, ego.station, ego.speed, last, world.nodes)
-        memory.waiting_cost = wait.cost
-        if wait.survived >= plan.survived:
-            plan = wait
-    return Option(profile, plan, yields, crosses, limit)

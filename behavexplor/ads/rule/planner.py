@@ -12,6 +12,7 @@ from behavexplor.ads.road.path import Path, ego_path, pose_on_path, project_on_p
 from behavexplor.ads.rule import lane_choice
 from behavexplor.ads.rule.control import PERIOD, LateralProfile, accelerate, change_profile, keep_profile, steer
 from behavexplor.ads.rule.decision import CREEP, EMERGENCY, STANDING, YIELD, creep, decision_code
+from behavexplor.ads.rule.lane_choice import EgoState
 from behavexplor.ads.rule.memory import N_MEMORIES, Memory, as_records
 from behavexplor.ads.rule.option import Option, Surroundings, plan_option
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
@@ -19,13 +20,11 @@ from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
 from behavexplor.ads.rule.speed_search import empty_nodes
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS, empty_station_time
 from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS, locate
-from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
-from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
+from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, TRIGGERED, note
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
 from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.scene import EGO, HEADING, N_COLUMNS, PRESENT, SPEED, WIDTH, X, Y
-from behavexplor.data.scene import LENGTH as EGO_LENGTH
+from behavexplor.data.scene import EGO, HEADING, LENGTH, N_COLUMNS, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.jit import compiled_for, kernel, kernel_inner
 
 HARD_LIMIT: Final = 8.0  # full braking [m/s2]
@@ -50,11 +49,11 @@ class RulePlanner:
         self.roadmap = roadmap
         self.parameters = parameters
         self._path = ego_path(roadmap, parameters.lateral_acceleration, parameters.approach_braking)
-        self._graph = lane_graph(roadmap, self._path)
+        self._ways = lane_graph(roadmap, self._path)
         self._numbers = numbers(parameters)
         scenes, memories = np.zeros((1, 1, N_COLUMNS)), as_records(np.zeros((1, N_MEMORIES)))
         self._plan_batch: Any = compiled_for(
-            _plan_batch, self._path, self._graph, scenes, memories, self._numbers, np.empty((1, 2))
+            _plan_batch, self._path, self._ways, scenes, memories, self._numbers, np.empty((1, 2))
         )
 
     def predict(
@@ -75,13 +74,13 @@ class RulePlanner:
         scenes = as_scenes(observation)
         rows = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
         actions = np.empty((len(scenes), 2))
-        self._plan_batch(self._path, self._graph, scenes, as_records(rows), self._numbers, actions)
+        self._plan_batch(self._path, self._ways, scenes, as_records(rows), self._numbers, actions)
         return actions, rows
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the last decisions, from the state that `predict` returned.
 
-        Arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
+        They are arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
         `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's lane and 1 the next to the right; `survived`,
         the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the weaknesses, see
         `behavexplor.data.trace.weakness_names`.
@@ -92,28 +91,26 @@ class RulePlanner:
 
 @kernel
 def _plan_batch(
-    path: Path, graph: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers, actions: Floats
+    path: Path, ways: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers, actions: Floats
 ) -> None:
     """Make a decision for each ego that is present, and fill in the actions of all."""
-    graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.around, graph.beside)  # the spare lane is overwritten
+    ways = LaneGraph(ways.lanes.copy(), ways.tails, ways.around, ways.beside)  # the spare lane is overwritten
     n_npcs = scenes.shape[1] - 1
-    room, nodes = empty_station_time(n_npcs), empty_nodes()
+    graph, nodes = empty_station_time(n_npcs), empty_nodes()
     others = np.empty((n_npcs, N_OTHER_COLUMNS))
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:
-            plan_once(Surroundings(path, graph, scenes[i], others, room, nodes, p), memories[i])
+            plan_once(Surroundings(path, ways, scenes[i], others, graph, nodes, p), memories[i])
         fill_action(memories[i].last_acceleration, memories[i].last_steering, actions[i])
 
 
 @kernel_inner
 def plan_once(world: Surroundings, memory: Memory) -> None:
     """Make one decision, and leave its commands in the memory."""
-    path, scene, bits = world.path, world.scene, world.room.bits
+    path, scene, bits = world.path, world.scene, world.graph.bits
     bits[:] = 0
     station, offset = project_on_path(path, scene[EGO, X], scene[EGO, Y])
-    ego = lane_choice.EgoState(
-        station, offset, max(scene[EGO, SPEED], 0.0), scene[EGO, EGO_LENGTH] / 2, scene[EGO, WIDTH] / 2
-    )
+    ego = EgoState(station, offset, max(scene[EGO, SPEED], 0.0), scene[EGO, LENGTH] / 2, scene[EGO, WIDTH] / 2)
     locate(path, scene, world.others)
     _remember(path, ego, memory)
     option = plan_option(world, ego, _present_profile(path, memory), int(memory.lane), memory)
@@ -126,7 +123,7 @@ def plan_once(world: Surroundings, memory: Memory) -> None:
 
 
 @kernel_inner
-def _remember(path: Path, ego: lane_choice.EgoState, memory: Memory) -> None:
+def _remember(path: Path, ego: EgoState, memory: Memory) -> None:
     """Update the memory with the ego's motion since the last decision."""
     if memory.started == 0.0:
         memory.started = 1.0
@@ -161,16 +158,16 @@ def _is_safe(option: Option) -> bool:
 
 
 @kernel_inner
-def _change_if_wanted(world: Surroundings, ego: lane_choice.EgoState, present: Option, memory: Memory) -> Option:
+def _change_if_wanted(world: Surroundings, ego: EgoState, present: Option, memory: Memory) -> Option:
     """Begin a lane change if another lane is better and its gaps are accepted."""
-    path, others, p, bits = world.path, world.others, world.p, world.room.bits
+    path, others, p, bits = world.path, world.others, world.p, world.graph.bits
     lane = int(memory.lane)
     option, begun = present, False
     wrong = lane_choice.wrong_side(path, others, ego, memory, bits, p)
     if wrong != lane:
         option, begun = _try_change(world, ego, present, wrong, memory)
     wanted = lane if begun else lane_choice.choose_lane(path, others, ego, memory, bits, p)
-    if bits[CHANGED] & R3_3:
+    if bits[TRIGGERED] & R3_3:
         memory.overrun = 1.0
     if wanted != lane:
         option, begun = _try_change(world, ego, present, wanted, memory)
@@ -179,10 +176,10 @@ def _change_if_wanted(world: Surroundings, ego: lane_choice.EgoState, present: O
 
 @kernel_inner
 def _try_change(
-    world: Surroundings, ego: lane_choice.EgoState, present: Option, wanted: int, memory: Memory
+    world: Surroundings, ego: EgoState, present: Option, wanted: int, memory: Memory
 ) -> tuple[Option, bool]:
     """Return the change to a lane if it is safe, else the present option; and whether the change is begun."""
-    path, p, bits = world.path, world.p, world.room.bits
+    path, p, bits = world.path, world.p, world.graph.bits
     lane = int(memory.lane)
     if not lane_choice.accepts_gap(path, world.others, ego, wanted, bits, p):
         return present, False
@@ -201,19 +198,19 @@ def _try_change(
     if abs(wanted) > abs(lane):
         memory.maneuver = lane_choice.OVERTAKE
         memory.overtaking = 1.0
-        memory.overrun = 1.0 if bits[CHANGED] & R3_2 else 0.0
+        memory.overrun = 1.0 if bits[TRIGGERED] & R3_2 else 0.0
     memory.sharp = 1.0 if sharp else 0.0
     _adopt(profile, wanted, memory)
     return option, True
 
 
 @kernel_inner
-def _abort_if_needed(world: Surroundings, ego: lane_choice.EgoState, present: Option, memory: Memory) -> Option:
+def _abort_if_needed(world: Surroundings, ego: EgoState, present: Option, memory: Memory) -> Option:
     """Return to the original lane if a vehicle comes close in the target lane, and returning is possible and helps.
 
     It is possible while the ego's center is still in the original lane.
     """
-    path, p, bits = world.path, world.p, world.room.bits
+    path, p, bits = world.path, world.p, world.graph.bits
     lane, origin = int(memory.lane), int(memory.origin)
     inside = abs(ego.offset - origin * path.lane_width) < path.lane_width / 2
     share = lane_choice.gap_share(path, world.others, ego, lane, p)
@@ -237,7 +234,7 @@ def _abort_if_needed(world: Surroundings, ego: lane_choice.EgoState, present: Op
 
 
 @kernel_inner
-def _slope(world: Surroundings, ego: lane_choice.EgoState) -> float:
+def _slope(world: Surroundings, ego: EgoState) -> float:
     """Return the slope of the ego's motion relative to its route."""
     _, _, along = pose_on_path(world.path, ego.station)
     return math.tan(min(max(math.sin(world.scene[EGO, HEADING] - along), -0.5), 0.5))
@@ -251,19 +248,19 @@ def _adopt(profile: LateralProfile, lane: int, memory: Memory) -> None:
 
 
 @kernel_inner
-def _settle(world: Surroundings, ego: lane_choice.EgoState, option: Option, memory: Memory) -> None:
+def _settle(world: Surroundings, ego: EgoState, option: Option, memory: Memory) -> None:
     """Store the decision and its commands in the memory."""
-    path, p, bits, plan = world.path, world.p, world.room.bits, option.plan
+    path, p, bits, plan = world.path, world.p, world.graph.bits, option.plan
     memory.clear = memory.clear + PERIOD if option.crosses else 0.0
     memory.decision = decision_code(path, plan, ego.station, ego.half_length, option.yields)
     memory.survived = plan.survived * INTERVAL
     acceleration = plan.acceleration
-    if creep(world.room, ego.station, option.limit, memory, bits, p) and memory.decision != EMERGENCY:
+    if creep(world.graph, ego.station, option.limit, memory, bits, p) and memory.decision != EMERGENCY:
         memory.creeps -= PERIOD
         memory.decision = CREEP
         acceleration = CREEP_ACCELERATION
     if p.weak_braking > 0.0:
-        memory.weakened = SUDDEN_TIME if bits[CHANGED] & R1_4 else max(memory.weakened - PERIOD, 0.0)
+        memory.weakened = SUDDEN_TIME if bits[TRIGGERED] & R1_4 else max(memory.weakened - PERIOD, 0.0)
         if memory.weakened > 0.0:
             acceleration = max(acceleration, p.weak_braking - HARD_LIMIT)
     if memory.sharp == 1.0 and acceleration > 0.0:

@@ -1,4 +1,4 @@
-"""Prediction: the ways that an NPC may go, its possible positions on them, and where it is too far aside to matter."""
+"""Prediction: the ways that an NPC may go, how far it may get, and which stretch of the ego's path its box takes up."""
 
 import math
 from functools import lru_cache
@@ -6,20 +6,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from behavexplor.ads.road.lane_arrays import (
-    COS,
-    CURVATURE,
-    HEADING,
-    LENGTH,
-    N_COLUMNS,
-    SIN,
-    X,
-    Y,
-    lane_array,
-    offset_on_lane,
-    pose_on_lane,
-    project_on_lane,
-)
+from behavexplor.ads.road import lane_arrays
+from behavexplor.ads.road.lane_arrays import COS, CURVATURE, HEADING, LENGTH, N_COLUMNS, SIN, X, Y
 from behavexplor.ads.road.path import Path, is_straight, locate_on_path, project_on_path
 from behavexplor.ads.rule.control import LateralProfile, offset_at
 from behavexplor.ads.rule.parameters import Numbers
@@ -27,15 +15,18 @@ from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.jit import kernel_in_place, kernel_inner
 
-PARALLEL: Final = 1e-6  # sine of the angle to the route below which a box is parallel to it
-SLACK: Final = 1.0  # lateral distance by which a profile may overshoot its offsets [m]
-LEAST, GREATEST = 0, 1  # offsets from the route within a meter of a lane [m]
-SKEW = 2  # greatest sine of the angle to the route there; 1 on curves and beside them
-BEYOND: Final = 130  # length for which lanes are continued beyond their ends [m]
-AROUND: Final = 15.0  # half the longest vehicle's length and width, with some margin [m]
 TWO_PI = 2 * math.pi
 SAGITTA: Final = 0.5  # more than the distance between an arc and a chord of 1 m [m]
 NEAR: Final = 7.0  # half the longest vehicle's diagonal plus half the ego's width, with some margin [m]
+
+# columns of `beside_route`
+LEAST, GREATEST = 0, 1  # offsets from the route within a meter of a lane [m]
+SKEW = 2  # greatest sine of the angle to the route there; 1 on curves and beside them
+
+BEYOND: Final = 130  # length for which lanes are continued beyond their ends [m]
+AROUND: Final = 15.0  # half the longest vehicle's length and width, with some margin [m]
+PARALLEL: Final = 1e-6  # sine of the angle to the route below which a box is parallel to it
+SLACK: Final = 1.0  # lateral distance by which a profile may overshoot its offsets [m]
 
 
 class LaneGraph(NamedTuple):
@@ -59,7 +50,7 @@ def lane_graph(roadmap: RoadMap, path: Path) -> LaneGraph:
 
 @lru_cache(maxsize=4)  # triage makes many planners for one map
 def _lanes_of(roadmap: RoadMap) -> tuple[Floats, Ints, Floats, Bools]:
-    """Return what no path changes: `lanes`, `tails` and `around` of the graph, and which lanes come near the route."""
+    """Return what depends on the map alone: `lanes`, `tails` and `around`, and which lanes come near the route."""
     ego_route = roadmap.ego_route
     routes = (*roadmap.npc_routes, ego_route)
     lanes = tuple({lane.name: lane for route in routes for lane in route.lanes}.values())
@@ -69,11 +60,11 @@ def _lanes_of(roadmap: RoadMap) -> tuple[Floats, Ints, Floats, Bools]:
     depth = max(map(len, tails))
     padded = [tail + (-1,) * (depth - len(tail)) for tail in tails]
     way = ego_route.polyline(0.0, ego_route.length)
-    reach = NEAR + ego_route.lanes[0].width  # the ego may overtake in the next lane; straight roads have no more lanes
+    limit = NEAR + ego_route.lanes[0].width  # the ego may overtake in the next lane; straight roads have no more lanes
     lines = [lane.pose(np.linspace(0.0, lane.length, math.ceil(lane.length) + 1))[:, :2] for lane in lanes]
     around = [[*line.min(axis=0), *line.max(axis=0)] for line in lines] + [[0.0] * 4]
-    near = [*(_distance(line, way) <= reach for line in lines), True]
-    rows = np.vstack([lane_array(lanes), np.zeros(N_COLUMNS)])
+    near = [*(_distance(line, way) <= limit for line in lines), True]
+    rows = np.vstack([lane_arrays.lane_array(lanes), np.zeros(N_COLUMNS)])
     return rows, np.array(padded, dtype=np.int64), np.array(around), np.array(near)
 
 
@@ -85,27 +76,27 @@ def _distance(line: Floats, way: Floats) -> float:
 
 @kernel_inner
 def find_tails(
-    graph: LaneGraph, x: float, y: float, heading: float, speed: float, p: Numbers, tails: Ints, stations: Floats
+    ways: LaneGraph, x: float, y: float, heading: float, speed: float, p: Numbers, tails: Ints, stations: Floats
 ) -> tuple[int, int]:
     """Find every way on of a vehicle: all branches at a junction, straight on for a vehicle that is on no lane.
 
-    The vehicle's center is at x and y [m]. The spare lane of the graph is overwritten. `tails` and the vehicle's
-    `stations` along them [m] are filled, shape (most,).
+    The vehicle's center is at x and y [m], with a heading [rad] and a speed [m/s]. `tails` is filled with indices of
+    `ways.tails`, and `stations` with its stations along them [m], each of shape (most,). The spare lane is overwritten.
 
     Returns:
         The number of ways found, at least 1, and the number of overlooked ones among them (weakness R1-8). The
         overlooked ways come last.
     """
-    lanes, spare = graph.lanes, len(graph.tails) - 1
+    lanes, spare = ways.lanes, len(ways.tails) - 1
     count, overlooked = 0, 0
     lane, station, fits = -1, 0.0, False
     for tail in range(spare):
-        if graph.tails[tail, 0] != lane:
-            lane = graph.tails[tail, 0]
-            fits, station = _fits(graph, lane, x, y, heading, p)
+        if ways.tails[tail, 0] != lane:
+            lane = ways.tails[tail, 0]
+            fits, station = _fits(ways, lane, x, y, heading, p)
         if not fits or count + overlooked == len(tails):
             continue
-        if p.branch_turn > 0.0 and speed > p.branch_speed and _overlooked(graph, tail, heading, p):
+        if p.branch_turn > 0.0 and speed > p.branch_speed and _overlooked(ways, tail, heading, p):
             overlooked += 1
             tails[-overlooked], stations[-overlooked] = tail, station
             continue
@@ -121,16 +112,16 @@ def find_tails(
 
 
 @kernel_inner
-def _fits(graph: LaneGraph, lane: int, x: float, y: float, heading: float, p: Numbers) -> tuple[bool, float]:
+def _fits(ways: LaneGraph, lane: int, x: float, y: float, heading: float, p: Numbers) -> tuple[bool, float]:
     """Return whether a vehicle may be driving on a lane, and its station there [m], 0 if it is far from the lane."""
-    lanes, around, margin = graph.lanes, graph.around, p.match_offset + SAGITTA
+    lanes, around, margin = ways.lanes, ways.around, p.match_offset + SAGITTA
     if x < around[lane, 0] - margin or x > around[lane, 2] + margin:
         return False, 0.0
     if y < around[lane, 1] - margin or y > around[lane, 3] + margin:
         return False, 0.0
-    if abs(offset_on_lane(lanes, lane, x, y)) > p.match_offset:
+    if abs(lane_arrays.offset_on_lane(lanes, lane, x, y)) > p.match_offset:
         return False, 0.0
-    station, _ = project_on_lane(lanes, lane, x, y)
+    station, _ = lane_arrays.project_on_lane(lanes, lane, x, y)
     if not 0.0 <= station <= lanes[lane, LENGTH]:
         return False, station
     along = lanes[lane, HEADING] + lanes[lane, CURVATURE] * station
@@ -138,9 +129,9 @@ def _fits(graph: LaneGraph, lane: int, x: float, y: float, heading: float, p: Nu
 
 
 @kernel_inner
-def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool:
+def _overlooked(ways: LaneGraph, tail: int, heading: float, p: Numbers) -> bool:
     """Return whether a way on turns off, but the vehicle has not clearly turned yet (weakness R1-8)."""
-    lanes, lane, following = graph.lanes, graph.tails[tail, 0], graph.tails[tail, 1]
+    lanes, lane, following = ways.lanes, ways.tails[tail, 0], ways.tails[tail, 1]
     if lanes[lane, CURVATURE] == 0.0:
         return bool(following >= 0 and lanes[following, CURVATURE] != 0.0)
     turned = abs((heading - lanes[lane, HEADING] + math.pi) % TWO_PI - math.pi)
@@ -176,10 +167,10 @@ def reach(
 
 
 def beside_route(path: Path, lanes: Floats, near: Bools) -> Floats:
-    """Compute where each meter of each lane is on the ego's route, (lanes, meters, 3): `LEAST`, `GREATEST`, `SKEW`.
+    """Compute where each meter of each lane is on the ego's route: the columns above, shape (lanes, meters, 3).
 
-    The last lane can be anywhere. Lanes that are not `near`, shape (lanes,), cannot be in the ego's way; offsets are
-    infinite there.
+    The last lane can be anywhere. `near`, shape (lanes,), is False for each lane on which no vehicle can be in the
+    ego's way; offsets are infinite there.
     """
     table = np.empty((len(lanes), int(lanes[:, LENGTH].max()) + BEYOND, 3))
     _fill(path, lanes, table)
@@ -204,7 +195,7 @@ def _fill(path: Path, lanes: Floats, table: Floats) -> None:
 @kernel_inner
 def _offset(path: Path, lanes: Floats, lane: int, station: float) -> tuple[float, float]:
     """Return the offset of a station of a lane from the route [m], and the sine of the angle there, 1 on curves."""
-    x, y, _ = pose_on_lane(lanes, lane, station)
+    x, y, _ = lane_arrays.pose_on_lane(lanes, lane, station)
     nearest, there, offset = locate_on_path(path, x, y)
     if lanes[lane, CURVATURE] != 0.0 or not is_straight(path, nearest, there - AROUND, there + AROUND):
         return offset, 1.0
@@ -218,9 +209,9 @@ def is_beside(place: Floats, profile: LateralProfile, length: float, width: floa
 
     Length and width are those of the vehicle [m], and `strip` is half the width of the strip [m].
     """
-    reach = strip + (length * place[SKEW] + width) / 2 + (SLACK if profile.length > 0.0 else 0.0)
+    needed = strip + (length * place[SKEW] + width) / 2 + (SLACK if profile.length > 0.0 else 0.0)
     away = max(place[LEAST] - max(profile.first, profile.last), min(profile.first, profile.last) - place[GREATEST])
-    return bool(away > reach and (length + width) / 2 < AROUND)
+    return bool(away > needed and (length + width) / 2 < AROUND)
 
 
 class Box(NamedTuple):
@@ -236,9 +227,9 @@ class Box(NamedTuple):
 
 @kernel_inner
 def box_on_path(path: Path, profile: LateralProfile, box: Box, strip: float) -> tuple[float, float]:
-    """Return the stations between which a box reaches into the strip along the path; (inf, -inf) if never.
+    """Return the stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
 
-    The profile is the path's offset from the route, and `strip` is half the width of the strip [m].
+    The profile is the planned path's offset from the route, and `strip` is half the width of the strip [m].
     """
     x, y, cos, sin, length, width = box
     lane, station, aside = locate_on_path(path, x, y)

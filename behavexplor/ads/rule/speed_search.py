@@ -36,12 +36,14 @@ N_STATION_BINS: Final = 42
 N_SPEED_BINS: Final = 16
 N_BINS: Final = N_STATION_BINS * N_SPEED_BINS
 MOST_HURRY: Final = 1.5  # weight of the delay in the first interval
+
 # Where the rows of the motions of a stage begin. They are one array with constant offsets, so that the compiler knows
 # that rows do not overlap. Otherwise, it would not compute several motions at once.
 MOST: Final = N_BINS * len(ACCELERATIONS)
 N_ROWS: Final = 12
 STATION, SPEED, LIMIT, AHEAD, AFTER, CLEAR = (i * MOST for i in range(6))
 CHOSEN, BEFORE, SPENT, TOTAL_SPENT, RISKED, STOPPED = (i * MOST for i in range(6, N_ROWS))
+
 CLOSE, WIDE = 1.1, 1.5  # the first two bounds of the search, in multiples of the expected cost
 ROUNDING: Final = 1e-9  # much more than the share by which roundings change a cost
 S, V, LAST, FIRST, TOTAL, RISK, INSIDE = range(7)  # columns of a node
@@ -117,7 +119,7 @@ def search(situation: Situation, station: float, speed: float, acceleration: flo
 def _search_below(
     bound: float, situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes
 ) -> tuple[SpeedPlan, bool]:
-    """Search among the motions whose cost does not exceed a bound; return the plan, and whether it is the best.
+    """Search among the motions whose cost does not exceed a bound; return the plan, and whether it is surely the best.
 
     Costs never fall along a motion, so motions beyond the bound never lead to one within it, and in no bin are they
     cheaper than one within it. Without them, the search finds the same plan if its cost is within the bound. Only the

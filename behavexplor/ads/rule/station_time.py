@@ -37,7 +37,7 @@ HARD_LOW, HARD_HIGH = 0, 1  # range of stations of the ego's center at which it 
 SOFT_LOW, SOFT_HIGH = 2, 3  # range of stations of the ego's center too close for comfort, in time or space [m]
 COST = 4  # cost of being too close [1/s]
 LEADS = 5  # 1 for a vehicle ahead on the ego's path, 0 for one that crosses or merges
-LEAD_SPEED = 6  # growth of its least distance driven, since the interval before; its present speed in the first [m/s]
+LEAD_SPEED = 6  # its mean speed in the interval before, by the least distance driven; at first, its present speed [m/s]
 N_COLUMNS = 7
 STEP = 1.0  # distance between the stations at which an NPC's box is placed on its way [m]
 N_STEPS = 128  # greatest number of these stations on one way
@@ -87,32 +87,32 @@ class Projection(NamedTuple):
 
     path: Path  # path of the ego
     profile: LateralProfile  # planned offset from that path
-    graph: LaneGraph  # lanes of the map
+    ways: LaneGraph  # lanes of the map, and the ways on along them
     scene: Floats  # scene, shape (1 + n, 8), see `behavexplor.data.scene`
     station: float  # station of the ego [m]
     p: Numbers  # parameters of the planner
-    room: StationTime  # the station-time graph, which is filled
+    graph: StationTime  # the station-time graph, which is filled
 
 
 @kernel_inner
 def project_obstacles(
     path: Path,
     profile: LateralProfile,
-    graph: LaneGraph,
+    ways: LaneGraph,
     scene: Floats,
     station: float,
     blind: float,
     p: Numbers,
-    room: StationTime,
+    graph: StationTime,
 ) -> None:
     """Fill the station-time graph with every NPC's predicted motion along every way it has.
 
     `blind` is the distance ahead of the ego below which the centers of vehicles in the target lane are ignored [m],
-    minus infinity for none. Bits are added to `room.bits`, and never cleared. For the rest, see `Projection`.
+    minus infinity for none. Bits are added to `graph.bits`, and never cleared. For the rest, see `Projection`.
     """
-    room.counts[:] = 0
-    room.reaches[:, 0], room.reaches[:, 1] = math.inf, -math.inf
-    view = Projection(path, profile, graph, scene, station, p, room)
+    graph.counts[:] = 0
+    graph.reaches[:, 0], graph.reaches[:, 1] = math.inf, -math.inf
+    view = Projection(path, profile, ways, scene, station, p, graph)
     for row in range(EGO + 1, len(scene)):
         if scene[row, PRESENT] == 0.0 or _ignored(view, row, blind):
             continue
@@ -120,14 +120,14 @@ def project_obstacles(
         weak = weaknesses_of_motion(scene, row, true, p)
         motion = false_motion(true, weak, p)
         x, y, heading = scene[row, X], scene[row, Y], scene[row, HEADING]
-        found, overlooked = find_tails(graph, x, y, heading, true.speed, p, room.tails, room.stations)
+        found, overlooked = find_tails(ways, x, y, heading, true.speed, p, graph.tails, graph.stations)
         for way in range(found):
             seen = way < found - overlooked
             touched = _project(view, way, motion, seen)
             if not seen:
-                note(room.bits, R1_8, touched)
+                note(graph.bits, R1_8, touched)
             elif weak:  # triggered if the false or the true motion meets the ego's path
-                note(room.bits, weak, touched or _occupy(view, way, true)[0] >= 0)
+                note(graph.bits, weak, touched or _occupy(view, way, true)[0] >= 0)
 
 
 @kernel_inner
@@ -154,8 +154,8 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
 
     An NPC that follows the ego on its path is left out.
     """
-    p, room = view.p, view.room
-    occupied, spans = room.occupied, room.spans
+    p, graph = view.p, view.graph
+    occupied, spans = graph.occupied, graph.spans
     first, last = _occupy(view, way, motion)
     if first < 0:
         return False
@@ -180,7 +180,7 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
         if soft_low > soft_high:
             continue
         low, high = _stretch(occupied, first, last, least, greatest)
-        i = room.counts[k]
+        i = graph.counts[k]
         spans[k, i, HARD_LOW] = low - half_length - p.bumper_gap
         spans[k, i, HARD_HIGH] = high + half_length + p.bumper_gap
         spans[k, i, SOFT_LOW] = soft_low - half_length - p.stop_gap
@@ -188,9 +188,9 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
         spans[k, i, COST] = p.following_cost if ahead else p.crossing_cost
         spans[k, i, LEADS] = 1.0 if ahead else 0.0
         spans[k, i, LEAD_SPEED] = lead_speed
-        room.counts[k] += 1
-        room.reaches[k, 0] = min(room.reaches[k, 0], spans[k, i, HARD_LOW], spans[k, i, SOFT_LOW])
-        room.reaches[k, 1] = max(room.reaches[k, 1], spans[k, i, HARD_HIGH], spans[k, i, SOFT_HIGH])
+        graph.counts[k] += 1
+        graph.reaches[k, 0] = min(graph.reaches[k, 0], spans[k, i, HARD_LOW], spans[k, i, SOFT_LOW])
+        graph.reaches[k, 1] = max(graph.reaches[k, 1], spans[k, i, HARD_HIGH], spans[k, i, SOFT_HIGH])
     return True
 
 
@@ -200,8 +200,8 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
 
     Returned are the first and the last step at which the box is on the path, -1 for none.
     """
-    graph, room = view.graph, view.room
-    tail, start = graph.tails[room.tails[way]], room.stations[way]
+    ways, graph = view.ways, view.graph
+    tail, start = ways.tails[graph.tails[way]], graph.stations[way]
     steps = _steps(motion, view.p)
     first, last, step = -1, -1, int64(0)
     for depth in range(len(tail)):
@@ -210,7 +210,7 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
         is_last = depth + 1 == len(tail) or tail[depth + 1] < 0
         begin, end, step = _occupy_lane(view, tail[depth], start, step, steps, is_last, motion)
         first, last = (first if first >= 0 else begin), max(last, end)
-        start -= graph.lanes[tail[depth], LANE_LENGTH]
+        start -= ways.lanes[tail[depth], LANE_LENGTH]
     return first, last
 
 
@@ -224,7 +224,7 @@ def _occupy_lane(
     `is_last`, the way goes straight on beyond the end of the lane. Returned are the first and the last step at which
     the box is on the path, -1 for none, and the first step beyond the lane.
     """
-    lanes, places, occupied = view.graph.lanes, view.graph.beside[lane], view.room.occupied
+    lanes, places, occupied = view.ways.lanes, view.ways.beside[lane], view.graph.occupied
     straight = lanes[lane, CURVATURE] == 0.0
     length = motion.length if straight else motion.turning_length
     width = motion.width if straight else motion.turning_width

@@ -13,7 +13,7 @@ from behavexplor.data.array_types import Ints
 from behavexplor.data.trace import bit_of
 from behavexplor.jit import int64, kernel_inner
 
-REACHED, TRIGGERED = 0, 1
+REACHED, TRIGGERED = 0, 1  # indices of `bits`
 (R1_1, R1_2, R1_3, R1_4, R1_5, R1_6, R1_7, R1_8) = (int64(bit_of(f"R1-{i}")) for i in range(1, 9))
 (R2_1, R2_2, R2_3, R2_4) = (int64(bit_of(f"R2-{i}")) for i in range(1, 5))
 (R3_1, R3_2, R3_3, R3_4) = (int64(bit_of(f"R3-{i}")) for i in range(1, 5))

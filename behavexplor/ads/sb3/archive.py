@@ -23,7 +23,7 @@ MAX_BYTES: Final = 1_000_000_000  # greatest size of an unpacked file
 MAX_DATA: Final = 50_000_000  # greatest size of its settings
 MAX_RATIO: Final = 20  # greatest ratio of unpacked to packed size of a large file; Stable-Baselines3 does not compress
 LARGE: Final = 10_000_000
-MAX_ABOUT: Final = 10_000  # characters of its description that are read
+MAX_ABOUT: Final = 10_000  # characters of `system_info.txt` that are read
 
 SAVE_WEIGHTS: Final = "save its weights by torch.save(model.state_dict(), 'weights.pth')"
 DATA, WEIGHTS, OPTIMIZER, SYSTEM = "data", "policy.pth", "policy.optimizer.pth", "system_info.txt"
@@ -95,16 +95,16 @@ def read_archive(path: Path) -> Archive:
     digest = f"sha256:{hashlib.sha256(packed).hexdigest()}"
     numbers = {key: value for key, value in data.items() if isinstance(value, int | float)}
     return Archive(
-        path,
-        packed,
-        digest,
-        MappingProxyType(settings),
-        MappingProxyType(numbers),
-        tensors[WEIGHTS],
-        tensors.get(OPTIMIZER),
-        found[1] if (found := _PYTHON.search(about)) else "",
-        tuple(f"{name} {version}" for name, version in _VERSIONS.findall(about)),
-        (*of_data, *of_tensors),
+        path=path,
+        packed=packed,
+        digest=digest,
+        settings=MappingProxyType(settings),
+        numbers=MappingProxyType(numbers),
+        weights=tensors[WEIGHTS],
+        optimizer=tensors.get(OPTIMIZER),
+        python=found[1] if (found := _PYTHON.search(about)) else "",
+        versions=tuple(f"{name} {version}" for name, version in _VERSIONS.findall(about)),
+        suspicions=(*of_data, *of_tensors),
     )
 
 

@@ -1,4 +1,4 @@
-"""Answers of a network, or actions drawn from them, that do not depend on the number of observations in a batch.
+"""Evaluation of a network for any number of observations, so that no answer depends on the size of the batch.
 
 On a CPU, the last bits of a function of many numbers depend on their count, and on the position of a number among them.
 So a network always receives blocks of the same number of rows, padded with zeros, and its linear layers multiply each
@@ -19,19 +19,24 @@ from stable_baselines3.common.distributions import CategoricalDistribution, Diag
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor, MlpExtractor
 from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
+from torch import Tensor
 from torch.nn.functional import pad
 
 from behavexplor.ads.sb3.layered import LayeredPolicy
 from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.observations import Observation, arrays_of, mapped
 
+Memory = tuple[Array, ...]
+Choice = Callable[[Tensor], Tensor]  # from the outputs of the layers, shape (B, outputs), to the actions
+Operation = Callable[[], object]
+
 ROWS: Final = 64  # rows in a block
 ALIGNMENT: Final = 16  # most numbers that a processor multiplies at a time; rows begin at multiples of it
 _BYTES: Final = 4 * ALIGNMENT
-Choice = Callable[[torch.Tensor], torch.Tensor]  # from the outputs of the layers, shape (B, outputs), to the actions
-Operation = Callable[[], object]
+_KNOWN_CODE: Final = ("torch.", "stable_baselines3.", "sb3_contrib.", "behavexplor.")  # where layers may come from
+_LOCK: Final = Lock()  # the blocks of a network hold one question at a time
 _EDGE: Final = 1e-7  # least distance of a share from 0 and 1, where the quantiles of a normal distribution are infinite
-_DISTRIBUTIONS: Final = frozenset(  # distributions of Stable-Baselines3 and sb3-contrib
+_KNOWN_DISTRIBUTIONS: Final = frozenset(  # of Stable-Baselines3 and sb3-contrib
     {
         "CategoricalDistribution",
         "MaskableCategoricalDistribution",
@@ -40,10 +45,114 @@ _DISTRIBUTIONS: Final = frozenset(  # distributions of Stable-Baselines3 and sb3
         "DiagGaussianDistribution",
     }
 )
-Tensor = torch.Tensor
-_KNOWN: Final = ("torch.", "stable_baselines3.", "sb3_contrib.", "behavexplor.")
-_LOCK: Final = Lock()  # the blocks of a network hold one question at a time
-Memory = tuple[Array, ...]
+
+
+class BlockwiseNetwork:
+    """A policy network that is not trained any further, evaluated block by block.
+
+    Its linear layers multiply each row separately from now on.
+    """
+
+    def __init__(self, network: BasePolicy) -> None:
+        network.set_training_mode(False)
+        network.set_training_mode = _stay  # type: ignore[method-assign] # `predict` visits every layer to set the mode
+        self._network = network
+        self._block = Block()
+        layers = _linear_layers(network)
+        self._rows = ROWS if layers else 1
+        for layer in layers:
+            multiply_rows_separately(layer, self._block)
+        self._actor = dense_actor(network) if layers else None
+
+    def ask(
+        self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None = None
+    ) -> tuple[Array, Memory | None]:
+        """Return the network's actions, shape (B, ...), and its memory, arrays (layers, B, ...), None if it has none.
+
+        With `noise`, numbers in [0, 1) of shape (B, `noise_of(network)`), actions are drawn; without, they are the most
+        probable ones. The memory is that of the last call, None at first; for `episode_start`, see `ADS.predict`.
+        """
+        with _LOCK, _one_thread():
+            if self._actor is not None and noise is None and isinstance(observation, np.ndarray):
+                actions = self._actor.decide(observation)
+                if actions is not None:
+                    return actions, None
+            return self._predict(observation, memory, episode_start, noise)
+
+    def _predict(
+        self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None
+    ) -> tuple[Array, Memory | None]:
+        """Call the network's `predict` for each block."""
+        count, rows = len(arrays_of(observation)[0]), self._rows
+        start = np.zeros(count, dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        answers = []
+        for begin in range(0, count, rows):
+            block = slice(begin, begin + rows)
+            remembered = None if memory is None else tuple(_filled(array[:, block], rows, 1) for array in memory)
+            shown = mapped(partial(_block_of, block=block, rows=rows), observation)
+            begins = _filled(start[block], rows, 0)
+            drawing = _drawing(self._network, None if noise is None else _filled(noise[block], rows, 0))
+            with drawing, self._block.wanting(min(rows, count - begin)):
+                answers.append(self._network.predict(shown, remembered, begins, deterministic=True))
+        actions = np.concatenate([action for action, _ in answers])[:count]
+        memories: list[Memory | None] = [own for _, own in answers]
+        if any(own is None for own in memories):
+            return actions, None
+        together = zip(*(own for own in memories if own is not None), strict=True)
+        return actions, tuple(np.concatenate(arrays, axis=1)[:, :count] for arrays in together)
+
+
+def _linear_layers(network: BasePolicy) -> list[torch.nn.Linear]:
+    """Return the layers with weights; none if one of them is not linear, or the network has code from elsewhere."""
+    modules = list(network.modules())
+    if not all(type(module).__module__.startswith(_KNOWN_CODE) for module in modules):
+        return []
+    layers = [module for module in modules if not list(module.children()) and list(module.parameters())]
+    linear = [layer for layer in layers if type(layer) is torch.nn.Linear]
+    return linear if len(linear) == len(layers) else []
+
+
+def _stay(mode: bool) -> None:
+    """Leave a network in the mode in which it is."""
+
+
+def _block_of(array: Array, block: slice, rows: int) -> Array:
+    return _filled(array[block], rows, 0)
+
+
+def _filled(array: Array, rows: int, axis: int) -> Array:
+    """Pad an array with zeros at its end to a length of `rows` along an axis."""
+    shape = [*array.shape]
+    count, shape[axis] = shape[axis], rows
+    filled = np.zeros(shape, dtype=array.dtype)
+    filled[(slice(None),) * axis + (slice(count),)] = array
+    return filled
+
+
+@contextmanager
+def _drawing(network: BasePolicy, noise: Floats | None) -> Iterator[None]:
+    """Let a network draw its actions; `predict` then scales and clips them as always."""
+    if noise is None:
+        yield
+        return
+    network._predict = drawn_by(network, noise)  # type: ignore[method-assign] # noqa: SLF001 - its documented hook
+    try:
+        yield
+    finally:
+        del network._predict  # noqa: SLF001
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Restrict torch to one thread: the distribution of rows over several threads changes the last bits, too."""
+    before = torch.get_num_threads()
+    if before != 1:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        if before != 1:
+            torch.set_num_threads(before)
 
 
 @dataclass
@@ -66,9 +175,9 @@ class RowLinear(torch.nn.Linear):
     """A linear layer that multiplies each row separately, with weights that stay as they are."""
 
     block: Block  # the block that is being answered
-    columns: torch.Tensor  # the weights, filled up with zeros, shape (padded inputs, outputs)
+    columns: Tensor  # the weights, filled up with zeros, shape (padded inputs, outputs)
 
-    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+    def forward(self, rows: Tensor) -> Tensor:
         """Return the products, shape (..., outputs)."""
         if rows.ndim != 2:
             return super().forward(rows)
@@ -79,7 +188,7 @@ class RowLinear(torch.nn.Linear):
             products = products + self.bias
         return products if count == given else pad(products, (0, 0, 0, given - count))
 
-    def _aligned(self, rows: torch.Tensor) -> torch.Tensor:
+    def _aligned(self, rows: Tensor) -> Tensor:
         """Return rows that begin at multiples of `ALIGNMENT` numbers in memory, filled up with zeros."""
         missing = -self.in_features % ALIGNMENT
         if missing or not rows.is_contiguous() or rows.data_ptr() % _BYTES:
@@ -98,12 +207,17 @@ class _Step(NamedTuple):
     """A layer with the block that it reads and the block that it fills, each of shape (ROWS, numbers)."""
 
     layer: torch.nn.Module
-    inputs: torch.Tensor
-    outputs: torch.Tensor
+    inputs: Tensor
+    outputs: Tensor
 
 
 class DenseActor:
-    """The layers of a policy that lead to its actions."""
+    """The layers of a policy that lead to its actions, for fast answers without `predict`.
+
+    `predict` checks its arguments, and makes tensors and a distribution, which takes several times as long as a small
+    network. The arithmetic here is the same, in the same order and at the same places of a block, so the actions are
+    equal to the last bit. Layers with weights are of the class `RowLinear`.
+    """
 
     def __init__(self, layers: Sequence[torch.nn.Module], choice: Choice, policy: BasePolicy) -> None:
         self._recipe = layers, choice, policy
@@ -166,7 +280,7 @@ def _steps(layers: Sequence[torch.nn.Module]) -> list[_Step]:
     return steps
 
 
-def _zeros(numbers: int) -> torch.Tensor:
+def _zeros(numbers: int) -> Tensor:
     return torch.zeros(ROWS, numbers, device="cpu")
 
 
@@ -218,11 +332,11 @@ def _of_values(policy: DQNPolicy) -> DenseActor | None:
     return DenseActor(tuple(network.q_net), _greatest, policy)
 
 
-def _mean(outputs: torch.Tensor) -> torch.Tensor:
+def _mean(outputs: Tensor) -> Tensor:
     return outputs
 
 
-def _most_probable(outputs: torch.Tensor) -> torch.Tensor:
+def _most_probable(outputs: Tensor) -> Tensor:
     """Return the most probable category: the first one, if several are equal in single precision.
 
     The probabilities are those of `torch.distributions.Categorical`.
@@ -230,7 +344,7 @@ def _most_probable(outputs: torch.Tensor) -> torch.Tensor:
     return (outputs - outputs.logsumexp(dim=-1, keepdim=True)).softmax(dim=-1).argmax(dim=1)
 
 
-def _greatest(outputs: torch.Tensor) -> torch.Tensor:
+def _greatest(outputs: Tensor) -> Tensor:
     return outputs.argmax(dim=1)
 
 
@@ -239,12 +353,16 @@ def noise_of(network: BasePolicy) -> int:
     policy: Any = network
     if _is_squashed(policy):
         return 0 if policy.actor.use_sde else _numbers(policy.action_space)
-    is_known = type(getattr(policy, "action_dist", None)).__name__ in _DISTRIBUTIONS
+    is_known = type(getattr(policy, "action_dist", None)).__name__ in _KNOWN_DISTRIBUTIONS
     return _numbers(policy.action_space) if is_known and hasattr(policy, "get_distribution") else 0
 
 
 def drawn_by(network: BasePolicy, noise: Floats) -> Callable[..., Any]:
-    """Return a replacement for `network._predict` that draws by numbers in [0, 1), shape (B, `noise_of(network)`)."""
+    """Return a replacement for `network._predict` that draws by numbers in [0, 1), shape (B, `noise_of(network)`).
+
+    Each number of an action is the quantile of its distribution at one of them. Torch's own generator would draw
+    numbers that depend on the other rows of a batch.
+    """
     shares = torch.as_tensor(noise, dtype=torch.float32)
     policy: Any = network
     if _is_squashed(policy):
@@ -297,111 +415,3 @@ def _normal(shares: Tensor) -> Tensor:
 
 def _numbers(space: gymnasium.Space[Any]) -> int:
     return int(np.prod(space.shape or (1,)))
-
-
-class BlockwiseNetwork:
-    """A policy network that is not trained any further, evaluated block by block.
-
-    Its linear layers multiply each row separately from now on.
-    """
-
-    def __init__(self, network: BasePolicy) -> None:
-        network.set_training_mode(False)
-        network.set_training_mode = _stay  # type: ignore[method-assign] # `predict` visits every layer to set the mode
-        self._network = network
-        self._block = Block()
-        layers = _linear_layers(network)
-        self._rows = ROWS if layers else 1
-        for layer in layers:
-            multiply_rows_separately(layer, self._block)
-        self._actor = dense_actor(network) if layers else None
-
-    def ask(
-        self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None = None
-    ) -> tuple[Array, Memory | None]:
-        """Return the network's actions, shape (B, ...), and its memory, arrays (layers, B, ...), None if it has none.
-
-        With `noise`, numbers in [0, 1) of shape (B, `noise_of(network)`), actions are drawn; without, they are the most
-        probable ones. The memory is that of the last call, None at first; for `episode_start`, see `ADS.predict`.
-        """
-        with _LOCK, _one_thread():
-            if self._actor is not None and noise is None and isinstance(observation, np.ndarray):
-                actions = self._actor.decide(observation)
-                if actions is not None:
-                    return actions, None
-            return self._predict(observation, memory, episode_start, noise)
-
-    def _predict(
-        self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None
-    ) -> tuple[Array, Memory | None]:
-        """Call the network's `predict` for each block."""
-        count, rows = len(arrays_of(observation)[0]), self._rows
-        start = np.zeros(count, dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
-        answers = []
-        for begin in range(0, count, rows):
-            block = slice(begin, begin + rows)
-            remembered = None if memory is None else tuple(_filled(array[:, block], rows, 1) for array in memory)
-            shown = mapped(partial(_block_of, block=block, rows=rows), observation)
-            begins = _filled(start[block], rows, 0)
-            drawing = _drawing(self._network, None if noise is None else _filled(noise[block], rows, 0))
-            with drawing, self._block.wanting(min(rows, count - begin)):
-                answers.append(self._network.predict(shown, remembered, begins, deterministic=True))
-        actions = np.concatenate([action for action, _ in answers])[:count]
-        memories: list[Memory | None] = [own for _, own in answers]
-        if any(own is None for own in memories):
-            return actions, None
-        together = zip(*(own for own in memories if own is not None), strict=True)
-        return actions, tuple(np.concatenate(arrays, axis=1)[:, :count] for arrays in together)
-
-
-def _linear_layers(network: BasePolicy) -> list[torch.nn.Linear]:
-    """Return the layers with weights; none if one of them is not linear, or the network has code from elsewhere."""
-    modules = list(network.modules())
-    if not all(type(module).__module__.startswith(_KNOWN) for module in modules):
-        return []
-    layers = [module for module in modules if not list(module.children()) and list(module.parameters())]
-    linear = [layer for layer in layers if type(layer) is torch.nn.Linear]
-    return linear if len(linear) == len(layers) else []
-
-
-def _stay(mode: bool) -> None:
-    """Leave a network in the mode in which it is."""
-
-
-def _block_of(array: Array, block: slice, rows: int) -> Array:
-    return _filled(array[block], rows, 0)
-
-
-def _filled(array: Array, rows: int, axis: int) -> Array:
-    """Pad an array with zeros at its end to a length of `rows` along an axis."""
-    shape = [*array.shape]
-    count, shape[axis] = shape[axis], rows
-    filled = np.zeros(shape, dtype=array.dtype)
-    filled[(slice(None),) * axis + (slice(count),)] = array
-    return filled
-
-
-@contextmanager
-def _drawing(network: BasePolicy, noise: Floats | None) -> Iterator[None]:
-    """Let a network draw its actions; `predict` then scales and clips them as always."""
-    if noise is None:
-        yield
-        return
-    network._predict = drawn_by(network, noise)  # type: ignore[method-assign] # noqa: SLF001 - its documented hook
-    try:
-        yield
-    finally:
-        del network._predict  # noqa: SLF001
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Restrict torch to one thread: the distribution of rows over several threads changes the last bits, too."""
-    before = torch.get_num_threads()
-    if before != 1:
-        torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        if before != 1:
-            torch.set_num_threads(before)

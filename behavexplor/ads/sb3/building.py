@@ -187,7 +187,7 @@ def new_policy(
 
 
 def _accepted(policy_class: type[BasePolicy]) -> set[str]:
-    """Return the names of the arguments that a policy takes, also of those that it hands on to the class it is from."""
+    """Return the names of the arguments that a policy takes, with those that it passes on to its base classes."""
     names: set[str] = set()
     for kind in policy_class.__mro__:
         if "__init__" in vars(kind):

@@ -93,7 +93,7 @@ def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
 def _online_only(state: dict[str, Any], optimizer: torch.optim.Optimizer) -> dict[str, Any]:
     """Return a stored state of an optimizer for the parameters of the online network only, as `optimizer` has them.
 
-    Stable-Baselines3 before 2.4.0 gave the optimizer of DQN those of the target network, too, after them.
+    Before version 2.4.0, Stable-Baselines3 also gave it those of the target network of a DQN model, after the others.
     """
     (group,) = state["param_groups"]
     expected = len(optimizer.param_groups[0]["params"])

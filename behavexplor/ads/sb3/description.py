@@ -68,12 +68,13 @@ class Description:
     statistics: Path | None = None  # file of `VecNormalize`; None if observations were not normalized
     # wrappers of the training, "module:Class" or a mapping from it to its arguments, the innermost first
     wrappers: tuple[str | Mapping[str, Mapping[str, Any]], ...] = ()
-    activation: Activation | None = None  # function between the layers of a file of weights; None if unknown, and so on
-    network: str | None = None  # name of the network that acts in a file of weights
+    # what a file of weights does not say itself; None if unknown
+    activation: Activation | None = None  # function between the layers
+    network: str | None = None  # name of the network that acts
     output: Literal["values", "logits", "mean"] | None = None  # what the last layer gives
     squash: bool | None = None  # whether tanh follows the last layer of a policy with continuous actions
-    strides: tuple[Annotated[int, Field(ge=1, le=100)], ...] | None = None  # strides of its convolutions
-    paddings: tuple[Annotated[int, Field(ge=0, le=100)], ...] | None = None  # their paddings; None for none
+    strides: tuple[Annotated[int, Field(ge=1, le=100)], ...] | None = None  # strides of the convolutions
+    paddings: tuple[Annotated[int, Field(ge=0, le=100)], ...] | None = None  # paddings of the convolutions; None for 0
     about: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))  # free notes of the author; ignored
 
 
@@ -119,7 +120,7 @@ def files_of_model(ads: str) -> list[Path]:
 
 
 def named_env(env: str | None, ads: str) -> str | None:
-    """Return the environment that was named, or else that in which a policy was trained, if it brings no code.
+    """Return `env` if one was named, or else the environment in which a policy was trained; None if unknown.
 
     Raises:
         InputError: if the files beside the policy name an environment of another package.
@@ -240,7 +241,7 @@ def _of_zoo(folder: Path, model: Path) -> Description:
 def _of_rl_agents(path: Path) -> Description:
     """Read the metadata of a run of rl_agents: the `model` of its agent, and highway-env's configuration.
 
-    Its networks have ReLU between their layers if they do not say otherwise, and its convolutions steps of 2.
+    Its networks have ReLU between their layers if they do not say otherwise, and its convolutions strides of 2.
     """
     values = parse_json(read_file(path, MAX_BYTES).decode(errors="replace"), "the metadata of a run")
     agent, env = (_mapping(_mapping(values).get(key)) for key in ("agent", "env"))
@@ -259,7 +260,7 @@ def _mapping(value: Any) -> dict[str, Any]:
 
 
 def _wrapper_names(settings: Mapping[str, Any]) -> list[Any]:
-    """Return the wrappers that a file of rl-zoo3 names: each a name, or a mapping from a name to its arguments."""
+    """Return the names of the wrappers in a file of rl-zoo3, which may map a name to arguments."""
     given = [settings.get("env_wrapper") or [], settings.get("vec_env_wrapper") or []]
     listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
     return [next(iter(one)) if isinstance(one, dict) and len(one) == 1 else one for one in listed]

@@ -95,9 +95,9 @@ def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.
 def fitting_config(
     observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]
 ) -> tuple[str, dict[str, Any]]:
-    """Find a configuration of highway-env with a policy's spaces. Return it after the name of its environment.
+    """Return the environment of highway-env that has a policy's spaces by default, and a configuration with them.
 
-    The name is "" if no environment has these spaces by default. The configuration has the keys `observation` and
+    The name is "" if there is no such environment. The configuration has the keys `observation` and
     `action`, as far as the spaces determine them, and, if there is a name, the frequencies.
     """
     commands = _commands(action_space)

@@ -1,4 +1,4 @@
-"""Statistics by which `VecNormalize` scaled the observations of a policy in training."""
+"""Arrays in pickles, which are not executed; and the statistics by which `VecNormalize` scaled observations."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ from behavexplor.errors import InputError
 _RECONSTRUCT: Final = {"numpy._core.multiarray._reconstruct", "numpy.core.multiarray._reconstruct"}
 _FROM_BUFFER: Final = {"numpy._core.numeric._frombuffer", "numpy.core.numeric._frombuffer"}
 _SCALAR: Final = {"numpy._core.multiarray.scalar", "numpy.core.multiarray.scalar"}
-MAX_BYTES: Final = 50_000_000
+MAX_BYTES: Final = 50_000_000  # greatest size of a file of statistics
 
 
 def as_array(value: Any) -> Array:
@@ -100,8 +100,7 @@ class Moments:
 class Statistics:
     """Statistics that scale observations as `VecNormalize` of Stable-Baselines3 does."""
 
-    # moments of the observations; for observations that are dictionaries, the moments of each array that is scaled, by
-    # key
+    # moments of the observations; for observations that are dictionaries, by key, those of each array that is scaled
     moments: Moments | Mapping[str, Moments]
     clip: float  # greatest absolute value after scaling
     epsilon: float  # constant added to the variance
@@ -141,7 +140,7 @@ class Statistics:
         return arrays | {key: self._scaled(arrays[key], moments) for key, moments in self.moments.items()}
 
     def of_part(self, part: Callable[[str, Moments], Moments]) -> Self:
-        """Return the statistics of a part of each array, whose moments are a function of its key and its moments."""
+        """Return the statistics of a part of each array; `part` gives its moments, for the array's key and moments."""
         if isinstance(self.moments, Moments):
             return replace(self, moments=part("", self.moments))
         return replace(self, moments={key: part(key, moments) for key, moments in self.moments.items()})

@@ -39,7 +39,7 @@ class PolicyView:
     # keys of observations that are dictionaries, in the order in which they are joined; none for arrays
     keys: tuple[str, ...] = ()
     frames: int = 1  # number of observations that are stacked
-    said: str = ""  # a sentence for the user
+    said: str = ""  # what is done to the observations, as a sentence for the user
 
     def flattened(self, observation: Observation) -> Array:
         """Return observations, arrays of shape (B, ...), as arrays of shape (B, n)."""
@@ -85,7 +85,8 @@ class SB3Policy:
         self._statistics = statistics
         self.view: PolicyView | None = None
         self._frames = description.frame_stack
-        self.observation_space = self._own_space = _unstacked(network.observation_space, self._frames)
+        self._own_space = _unstacked(network.observation_space, self._frames)
+        self.observation_space = self._own_space  # or that of the environment, see `seeing`
         self.action_space = network.action_space
         self.last_trained_on = last
         names = ("observation", "action", "policy_frequency", "simulation_frequency")
@@ -117,9 +118,9 @@ class SB3Policy:
         return "" if self.view is None else self.view.said
 
     def prepare(self, observation: Observation) -> Observation:
-        """Return observations flattened and scaled as in training, arrays of shape (B, ...).
+        """Return observations flattened and scaled as in training, arrays of shape (B, ...), but not stacked.
 
-        Of frames that are stacked, they are the newest one.
+        If the statistics are of stacked frames, those of the newest frame scale them.
         """
         statistics, stack = self._statistics, self._stacking
         if statistics is not None and stack.scaled:
@@ -279,9 +280,9 @@ def _newest(moments: Moments, key: str, stack: Stacking) -> Moments:
 def _stacked(
     newest: Any, before: Any, episode_start: Bools | None, stack: Stacking, space: gymnasium.Space[Any]
 ) -> Any:
-    """Stack the last frames, with the newest at the end, on those stacked `before`, None at first.
+    """Return the last frames: those stacked `before` (None at first) without the oldest, and the newest at the end.
 
-    In a row that begins an episode, and at first, what stands for earlier frames is said in `Stacking.axis`.
+    `space` is that of a frame. `Stacking.axis` says what stands for the frames before the beginning of an episode.
     """
     if isinstance(space, gymnasium.spaces.Dict):
         past = before or dict.fromkeys(space)
@@ -296,7 +297,7 @@ def _stacked(
 
 
 def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks: bool = True) -> PolicyView | None:
-    """Return the view that makes an environment's observations those of a policy; None if none is there or needed."""
+    """Return the view that makes an environment's observations those of a policy; None if it needs none or has none."""
     parts = list(given.items()) if isinstance(given, gymnasium.spaces.Dict) else [("", given)]
     if not all(isinstance(one, gymnasium.spaces.Box) for one in (wanted, *(part for _, part in parts))):
         return None
@@ -306,10 +307,10 @@ def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks
         said = f"The environment's observations of the shape {shown} are flattened for the policy, as in training"
         return PolicyView(FLAT, tuple(key for key, _ in parts if key), said=said)
     stacks = stacks and isinstance(given, gymnasium.spaces.Box)
-    return _stacking(shape, shapes[0]) if stacks and shape and shapes[0] else None
+    return _stacking_view(shape, shapes[0]) if stacks and shape and shapes[0] else None
 
 
-def _stacking(shape: tuple[int, ...], own: tuple[int, ...]) -> PolicyView | None:
+def _stacking_view(shape: tuple[int, ...], own: tuple[int, ...]) -> PolicyView | None:
     """Return the view that stacks observations of one shape so that they have another one; None if there is none."""
     if shape[1:] == own and shape[0] > 1:
         return PolicyView(STACKED, (), shape[0], _said(shape[0], own, f"FrameStackObservation({shape[0]})"))

@@ -72,7 +72,7 @@ class ActingNetwork:
     head: tuple[Layer, ...]  # layers from there to the actions
     value: tuple[Layer, ...] = ()  # layers from there to the value of a duelling network; none in any other one
     deviation: tuple[Layer, ...] = ()  # layers from there to the logarithms of standard deviations; none without
-    log_std: Array | None = None  # logarithms of standard deviations that are the same everywhere; None without
+    log_std: Array | None = None  # logarithms of standard deviations that no observation changes; None without
     output: Output | None = None  # what its last layer gives, as far as names tell; None if unknown
 
     @property

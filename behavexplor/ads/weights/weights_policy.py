@@ -65,7 +65,7 @@ class WeightsPolicy:
         If they do not fit, it is a policy for others, as far as its network tells.
 
         Raises:
-            InputError: if something about it must be said, or its convolutions do not fit the observations.
+            InputError: if a setting is missing, or its convolutions do not fit the observations.
         """
         outputs, described = self.network.head[-1].outputs, self.description
         commands: gymnasium.Space[Any] = gymnasium.spaces.Discrete(outputs)
@@ -110,7 +110,7 @@ def load_weights(path: Path, activation: Activation | None = None) -> WeightsPol
     """Read a policy from a file of weights. No code of the file is executed.
 
     Raises:
-        InputError: if it has no network that can drive, or something about it must be said.
+        InputError: if it has no network that can drive, or a setting is missing.
     """
     file = read_tensors(path)
     for suspicion in file.suspicions:
@@ -155,7 +155,7 @@ def network_of(file: TensorFile, description: Description) -> ActingNetwork:
 
 
 def missing_settings(network: ActingNetwork, description: Description) -> list[str]:
-    """Return what must be said about a network, each as a phrase that shows the setting."""
+    """Return the settings that a network needs and its description lacks, each as a phrase that shows it."""
     missing = []
     if len(network.layers) > 1 and description.activation is None:
         missing.append("`activation: relu` (or tanh, or another function; or --activation relu)")
