@@ -42,7 +42,7 @@ _VEHICLES: Final = {  # the other vehicle of a collision, by the conflict, if it
     "oncoming": ("oncoming {}", "oncoming {} that had turned"),
     "crossing-from-right": ("{} crossing from the right", "{} that had turned in from the right"),
     "crossing-from-left": ("{} crossing from the left", "{} that had turned in from the left"),
-    "behind": ("{} behind", ""),  # from here on, a vehicle a second before a crash in highway-env
+    "behind": ("{} behind", ""),  # from here on, where it was a second before a crash in highway-env
     "ahead-on-the-right": ("{} ahead in a lane to the right", ""),
     "ahead-on-the-left": ("{} ahead in a lane to the left", ""),
     "behind-on-the-right": ("{} behind in a lane to the right", ""),

@@ -55,7 +55,7 @@ def packed(outcomes: Sequence[Outcomes]) -> dict[str, Any]:
 
 
 def unpacked(values: Mapping[str, Any]) -> list[Outcomes]:
-    """Return the outcomes that `packed` made values of."""
+    """Return the outcomes from the values that `packed` returned."""
     kinds = [outcomes_from(*kind) for kind in values["kinds"]]
     return [kinds[ord(code) - _FIRST_CODE] for code in values["codes"]]
 
@@ -73,7 +73,7 @@ class OutcomeBlock(NamedTuple):
 
 
 class OutcomeFile:
-    """The file of an evaluation, which goes on from it after an interruption at any moment.
+    """The file of an evaluation's outcomes, from which it goes on after an interruption at any moment.
 
     It is created if it does not exist. The first line says what is evaluated, as JSON values, and each other one is a
     block. A line that was cut short is removed.

@@ -19,9 +19,6 @@ def acceleration(trace: Trace) -> Floats:
     The acceleration is the change of the forward speed from each frame to the next. The last frame repeats the value
     before it.
 
-    Args:
-        trace: a trace of T frames.
-
     Returns:
         Accelerations, shape (T,) [m/s2]; 0 for a trace of a single frame.
     """
@@ -37,9 +34,6 @@ def gap_ahead(trace: Trace) -> Floats:
     The corridor is the strip that the ego covers while it keeps its lateral offset from its route. It is as wide as the
     ego. A vehicle is in the corridor if its box reaches into it. It is ahead if its center is farther along the route
     than the ego's.
-
-    Args:
-        trace: a trace of T frames.
 
     Returns:
         Gaps, shape (T,) [m]: 0 where both vehicles overlap along the route, at most `NOTHING_NEAR`, and `NOTHING_NEAR`
