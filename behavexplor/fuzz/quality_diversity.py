@@ -81,7 +81,7 @@ class VariationOptions:
 class EliteSearch:
     """The part that both methods share: uniform scenarios at first, then variations of two uniformly drawn elites.
 
-    The archive is the name of a class of pyribs.
+    `archive` is the name of a class of pyribs, which is made with the `settings`.
 
     Raises:
         InputError: if pyribs is not installed.
@@ -155,10 +155,8 @@ class MAPElites(EliteSearch):
         """Put a scenario into its `cell`. It is `kept` if it is better than the elite there, or the first one."""
         measures = describe(trace, self._options.measures)
         objective = 0.0 if verdict.failed else -verdict.degree
-        status = self._archive.add_single(
-            self._asker.told(candidate), objective, measures, **{ELITES: candidate.number}
-        )["status"]
-        return {"cell": int(self._archive.index_of_single(measures)), "kept": bool(np.ravel(status)[0] > 0)}
+        added = self._archive.add_single(self._asker.told(candidate), objective, measures, **{ELITES: candidate.number})
+        return {"cell": int(self._archive.index_of_single(measures)), "kept": bool(np.ravel(added["status"])[0] > 0)}
 
     def status(self) -> Mapping[str, float]:
         """Return the number of cells with an elite, and their share of all cells."""
@@ -190,7 +188,7 @@ class NoveltySearch(EliteSearch):
         super().__init__(logical, seed, options, "ProximityArchive", measure_dim=len(options.measures), **nearness)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Keep a scenario if its mean `distance` from the nearest kept executions, 1 for the first, is novel."""
+        """Keep a scenario that is novel, by its mean `distance` from the nearest kept ones (1 for the first one)."""
         measures = describe(trace, self._options.measures)
         first = self._archive.empty
         added = self._archive.add_single(self._asker.told(candidate), None, measures, **{ELITES: candidate.number})
