@@ -245,7 +245,7 @@ class DrawnLogicalScenario:
 
 
 class DrawnEncoding:
-    """Encoding of a highway-env environment's scenarios as points of [0, 1]^n.
+    """Encoding of a highway-env environment's draws as points of [0, 1]^n; see `behavexplor.data.scenario.Encoding`.
 
     The last block has one gene, the seed. A gene that a block does not need stands for nothing.
 

@@ -125,7 +125,7 @@ def fill_phases(waypoints: Floats, phases: Floats) -> int:
     """Fill in an NPC's phases of constant acceleration, and return their number. It stands in the last one.
 
     A row of `phases`, of which there must be at least one more than waypoints, has the time at which the phase begins
-    [s], the station [m] and speed [m/s] at that time, and the acceleration [m/s2].
+    [s], the station [m] and speed [m/s] at that time, and the acceleration [m/s2]. Waypoints: see `waypoint_array`.
     """
     n = 0
     time, station, speed = 0.0, waypoints[0, 0], waypoints[0, 1]

@@ -91,7 +91,7 @@ class Route:
         return float(self.bounds[-1])
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Compute x [m], y [m] and heading [rad] at stations, (..., 3). The outer lanes continue beyond the ends."""
+        """Compute x [m], y [m] and heading [rad] at stations, shape (..., 3). The outer lanes go on beyond the ends."""
         s = np.asarray(station, dtype=np.float64)
         index = np.searchsorted(self.bounds[1:-1], s, side="right")
         poses = np.empty((*s.shape, 3))

@@ -174,7 +174,7 @@ def mutated(
 
 
 class ScriptedEncoding:
-    """Encoding of a logical scenario's concrete scenarios as points of [0, 1]^n.
+    """Encoding of scripted scenarios as points of [0, 1]^n; see `behavexplor.data.scenario.Encoding`.
 
     Each parameter is a gene, and uniform genes give the distribution of the sampler. An NPC is a block of genes:
 

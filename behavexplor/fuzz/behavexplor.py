@@ -27,7 +27,10 @@ _BENIGN_SHARE = 0.1  # a passed mutant costs less energy than a failed one adds
 
 
 def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
-    """Compute dE_F of a parent (paper equation 15) from the last mutant and from #F and #NF, which include that one."""
+    """Compute dE_F of a parent (paper equation 15): how its energy changes when its last mutant `failed` or passed.
+
+    `n_failed` and `n_passed` are the numbers of its mutants that failed or not, #F and #NF, with the last one.
+    """
     if failed:
         return n_failed / (n_passed + n_failed)
     return -_BENIGN_SHARE * n_passed / (n_passed + n_failed)

@@ -331,7 +331,7 @@ class Encounters:
 
 
 def tuned(npc: NPC, logical: ScriptedLogicalScenario, rng: np.random.Generator) -> NPC:
-    """Return a vehicle with changed speeds, or with some changed waypoints, valid in `logical` but for other vehicles.
+    """Return a vehicle with changed speeds, or with some changed waypoints, valid in `logical` if it were alone.
 
     The size of the change is drawn over one and a half orders of magnitude, since some niches need a coarse change and
     others a fine one.

@@ -113,7 +113,7 @@ class NSGA2:
 
 
 def _algorithm(size: int, options: NSGA2Options) -> Any:
-    """Create pymoo's algorithm on points of [0, 1]^size."""
+    """Create pymoo's algorithm on points of [0, 1]^size. An `InputError` says that pymoo is not installed."""
     try:
         from pymoo.algorithms.moo.nsga2 import NSGA2 as Algorithm  # noqa: PLC0415, N811 - slow to import
         from pymoo.core.problem import Problem  # noqa: PLC0415

@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 
-from behavexplor.behavior.features import state_matrix
+from behavexplor.behavior.features import ATTRIBUTES, state_matrix
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.scenario import LogicalScenario
@@ -45,12 +45,12 @@ SCALES: Mapping[Measure, float] = MappingProxyType(  # values that are scaled to
 
 def describe(trace: Trace, measures: Sequence[Measure]) -> Floats:
     """Compute measures of the ego's behavior in an execution, each in [0, 1], shape (measures,)."""
-    states = state_matrix(trace).astype(np.float64)
-    speed, across = states[:, 0], np.abs(states[:, 5])
+    states = dict(zip(ATTRIBUTES, state_matrix(trace).astype(np.float64).T, strict=True))
+    speed = states["speed"]
     values = {
         "mean-speed": speed.mean() if len(speed) else 0.0,
-        "braking": -states[:, 1].min(initial=0.0),
-        "cornering": across.max(initial=0.0),
+        "braking": -states["speed-change"].min(initial=0.0),
+        "cornering": np.abs(states["acceleration-across"]).max(initial=0.0),
         "standing": (speed < STANDING_SPEED).mean() if len(speed) else 1.0,
         "duration": trace.duration,
     }
