@@ -164,8 +164,8 @@ def violation_class(trace: Trace, violated: Sequence[str]) -> ViolationClass | N
 def event_class(trace: Trace, event: ViolationEvent, end: str | None = None) -> ViolationClass:
     """Return the class of a violation event, or the class that a violation would have had at a near miss.
 
-    The decision log of the trace is not used. A violation of R3 would have had the kind of end `end`; None for that of
-    the trace.
+    The decision log of the trace is not used. `end` is the kind of end that a violation of R3 would have had; None for
+    that of the trace.
     """
     if event.spec == R1:
         return _collision(trace, event)

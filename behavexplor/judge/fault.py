@@ -55,7 +55,7 @@ def collision_fault(trace: Trace, violated: Sequence[str]) -> Fault | None:
 
 
 def contact_fault(trace: Trace) -> Fault | None:
-    """Return the verdict on the collision at the end of a trace.
+    """Return the verdict on the collision at the end of a trace; None if the ego touches no vehicle in the last frame.
 
     The verdicts are checked in this order:
 
@@ -67,9 +67,6 @@ def contact_fault(trace: Trace) -> Fault | None:
     - `other`: the trace alone cannot tell.
 
     `behavexplor.triage.blame` drives the scenario again to find out about the last two.
-
-    Returns:
-        The verdict, or None if the ego touches no vehicle in the last frame.
     """
     npc = touched_npc(trace)
     if npc is None:

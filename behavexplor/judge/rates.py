@@ -137,7 +137,9 @@ class Decision:
         if self.goal.below is None:
             wanted = self.goal.until or 0.0
             return KNOWN if self.count and (self.high - self.low) / 2 <= wanted * self.count / self.n else ""
-        return BELOW if self.high < self.goal.below else ABOVE if self.low > self.goal.below else ""
+        if self.high < self.goal.below:
+            return BELOW
+        return ABOVE if self.low > self.goal.below else ""
 
     @property
     def words(self) -> str:

@@ -14,13 +14,10 @@ def speed(trace: Trace) -> Floats:
 
 
 def acceleration(trace: Trace) -> Floats:
-    """Return the ego's acceleration along its heading, negative where it brakes.
+    """Return the ego's acceleration along its heading, negative where it brakes, shape (T,) [m/s2].
 
     The acceleration is the change of the forward speed from each frame to the next. The last frame repeats the value
-    before it.
-
-    Returns:
-        Accelerations, shape (T,) [m/s2]; 0 for a trace of a single frame.
+    before it. In a trace of a single frame, it is 0.
     """
     heading = trace.heading[:, 0]
     forward = trace.velocity[:, 0, 0] * np.cos(heading) + trace.velocity[:, 0, 1] * np.sin(heading)

@@ -247,7 +247,7 @@ def final_distance(trace: Trace) -> float:
 
 @lru_cache(maxsize=2)  # several specs ask for the poses of the same trace
 def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
-    """Return the poses of all vehicles in an episode up to the moment of arrival.
+    """Return the poses of all vehicles up to the moment of arrival: positions (T, N, 2) [m], headings (T, N) [rad].
 
     An episode ends in the first frame in which the ego's center is within `ARRIVAL_DISTANCE` of its destination. This
     frame lies behind the moment of arrival, by up to 0.56 m at 20 Hz and the speed limit. How far behind is an accident
@@ -256,9 +256,6 @@ def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
     The last frame of an ego that arrived is moved back to the moment at which its center came within
     `ARRIVAL_DISTANCE` of the destination, at the earliest to the frame before. All vehicles are interpolated linearly
     between these two frames. The poses of an episode with any other end are those of the trace.
-
-    Returns:
-        Positions, shape (T, N, 2) [m], and headings, shape (T, N) [rad].
     """
     share = _arrival_share(trace) if trace.end == ARRIVED and len(trace.time) > 1 else 1.0
     if share == 1.0:
