@@ -40,7 +40,7 @@ STATISTICS: Final = (  # the paper's D = 8 statistics of an attribute in a windo
     "non-linearity",
     "complexity",
 )
-MEAN, VARIANCE, LEAST, GREATEST, CHANGE, ABS_CHANGE, NON_LINEARITY, COMPLEXITY = range(8)  # their numbers
+MEAN, VARIANCE, LEAST, GREATEST, CHANGE, ABS_CHANGE, NON_LINEARITY, COMPLEXITY = range(8)  # indices of `STATISTICS`
 N_STATISTICS: Final = len(STATISTICS)
 N_FEATURES: Final = len(ATTRIBUTES) * N_STATISTICS
 
@@ -97,10 +97,10 @@ def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padde
     is `cid_ce` of the normalized window, but 0 if the window's deviation is below `STILL`. Statistics that need more
     states than the window has are 0.
 
-    The states have the shape (N', 8). With the tail "padded", a window begins at every state, and the last state is
-    repeated beyond the end (paper). With "cut", only the N' - w + 1 windows within the trace are used, or one padded
-    window if the trace is too short. The result has the eight statistics of the first attribute, then of the second,
-    and so on, shape (windows, 64).
+    The states have the shape (N', 8), and a window has `window` of them (the paper's w). With the tail "padded", a
+    window begins at every state, and the last state is repeated beyond the end (paper). With "cut", only the N' - w + 1
+    windows within the trace are used, or one padded window if the trace is too short. The result has the eight
+    statistics of the first attribute, then of the second, and so on, shape (windows, 64).
     """
     columns = _padded_columns(states, window, tail)
     merged = np.empty((_n_windows(columns, window), N_FEATURES))
@@ -125,9 +125,9 @@ class Clusters(NamedTuple):
 def nearest_clusters(states: NDArray[np.floating], window: int, tail: Tail, clusters: Clusters) -> Labels:
     """Return the index of the cluster that is nearest to each merged state, shape (windows,).
 
-    For the ego's states, shape (N', 8), the window and the tail, see `merged_states`.
-    The sums of the distances run in a fixed order, so that ties do not depend on the number of threads. The first of
-    several clusters that are equally near is taken.
+    For the ego's states, shape (N', 8), the window and the tail, see `merged_states`. The sums of the distances run in
+    a fixed order, so that ties do not depend on the number of threads. The first of several clusters that are equally
+    near is taken.
     """
     columns = _padded_columns(states, window, tail)
     labels = np.empty(_n_windows(columns, window), dtype=np.uint8)
@@ -160,12 +160,12 @@ def fill_states(
     states: Floats,
     places: Floats,
 ) -> None:
-    """Fill in the states and the positions of the ego on an even grid of times [s], interpolated linearly as by NumPy.
+    """Fill in the states and positions of the ego at times that are `spacing` [s] apart, interpolated as by NumPy.
 
-    There are T >= 2 frames. Positions [m] and velocities [m/s] are those of all vehicles, shape (T, N, 2), the ego
-    first. `motion` is the speed of the ego [m/s], its heading without jumps [rad], and cosine and sine of that, shape
-    (4, T). `room` is for two states, shape (2, 8). States, shape (N', 8), and places, shape (N', 2), are changed in
-    place.
+    The interpolation is linear. There are T >= 2 frames. Positions [m] and velocities [m/s] are those of all vehicles,
+    shape (T, N, 2), the ego first. `motion` is the speed of the ego [m/s], its heading without jumps [rad], and cosine
+    and sine of that, shape (4, T). `room` is for two states, shape (2, 8). States, shape (N', 8), and places, shape
+    (N', 2), are changed in place.
     """
     last, t = len(time) - 1, 0
     for i in range(len(states)):
@@ -186,7 +186,7 @@ def fill_states(
 
 @kernel_inner
 def _fill_state(time: Floats, velocity: Floats, motion: Floats, t: int, state: Floats) -> None:
-    """Fill in the attributes of the state in a frame, see `behavexplor.behavior.features.ATTRIBUTES`."""
+    """Fill in the attributes of the state in a frame, in the order of `ATTRIBUTES`."""
     step, cos, sin = time[t + 1] - time[t], motion[2, t], motion[3, t]
     x, y = velocity[t, 0, 0], velocity[t, 0, 1]
     change_x, change_y = (velocity[t + 1, 0, 0] - x) / step, (velocity[t + 1, 0, 1] - y) / step
@@ -206,15 +206,15 @@ def _interpolate(time: Floats, now: float, t: int, first: Floats, second: Floats
 
 @kernel
 def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> None:
-    """Fill in the statistics of each attribute in each window; see `behavexplor.behavior.features.merged_states`.
+    """Fill in the statistics of each attribute in each window; see `merged_states`.
 
-    The states have the shape (attributes, n); a deviation in a window of less than `still` is no movement. The
+    The states have the shape (attributes, n). A deviation of less than `still` in a window is no movement. The
     statistics of the first attribute, then of the second, and so on, shape (n - window + 1, attributes * statistics),
     are changed in place.
     """
     columns, terms = np.empty((N_STATISTICS, len(filled))), np.empty(x.shape[1])
     for j in range(len(x)):
-        _fill(x[j], window, still, terms, columns)
+        _fill_columns(x[j], window, still, terms, columns)
         for i in range(len(filled)):
             for k in range(N_STATISTICS):
                 filled[i, j * N_STATISTICS + k] = columns[k, i]
@@ -230,7 +230,7 @@ def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels
     columns, terms = np.empty((N_STATISTICS, len(labels))), np.empty(x.shape[1])
     products = np.zeros((2, len(clusters.centers), len(labels)))  # of even and odd features
     for j in range(len(x)):
-        _fill(x[j], window, still, terms, columns)
+        _fill_columns(x[j], window, still, terms, columns)
         first = j * N_STATISTICS
         for k in range(N_STATISTICS):
             _scale(columns[k], clusters.mean[first + k], clusters.scale[first + k])
@@ -242,11 +242,11 @@ def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels
 
 
 @kernel_inner
-def _fill(x: Floats, window: int, still: float, terms: Floats, columns: Floats) -> None:
+def _fill_columns(x: Floats, window: int, still: float, terms: Floats, columns: Floats) -> None:
     """Fill in `columns`, the statistics of one attribute, shape (statistics, windows). Simple loops are fast.
 
-    `x` are its states, shape (n,); a deviation in a window of less than `still` is no movement. `terms` is room for
-    intermediate results, shape (n,).
+    `x` are its states, shape (n,). For `still`, see `fill_statistics`. `terms` is room for intermediate results, shape
+    (n,).
     """
     count = columns.shape[1]
     columns[:] = 0.0

@@ -42,7 +42,7 @@ def wrapped(angle: float) -> float:
 
 
 def with_meta_actions(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a whole configuration of highway-env with meta-actions for its actions, and the same target speeds."""
+    """Return a whole configuration of highway-env with meta-actions. If it had them, their target speeds stay."""
     action = config["action"] if config["action"].get("type") == "DiscreteMetaAction" else {}
     meta = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
     return {**config, "action": {**action, **meta}}

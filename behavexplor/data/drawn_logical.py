@@ -166,7 +166,7 @@ class DrawnLogicalScenario:
         *,
         reseed: bool,
     ) -> DrawnScenario:
-        """Change the draws of each block with probability 1 - epsilon."""
+        """Change the draws of each block with probability 1 - `keep_probability`; with `reseed`, the seed as well."""
         for _ in range(_ATTEMPTS):
             forms = self.forms(scenario)
             new, stays = change(forms), rng.random(len(self.blocks) + 1) < keep_probability
@@ -224,10 +224,8 @@ class DrawnLogicalScenario:
 
     def parts(self, scenario: DrawnScenario) -> Parts:
         """Return the blocks of a scenario's draws as parts. A draw is plain at its median."""
-        forms = self.forms(scenario).tolist()
-        values = [
-            None if form == _plain_form(draw.kind) else form for draw, form in zip(self.draws, forms, strict=True)
-        ]
+        forms, plain = self.forms(scenario).tolist(), self._plain_forms.tolist()
+        values = [None if form == median else form for form, median in zip(forms, plain, strict=True)]
         return tuple(Part(str(i), tuple(values[j] for j in block)) for i, block in enumerate(self.blocks))
 
     def with_parts(self, scenario: DrawnScenario, parts: Parts) -> DrawnScenario:
@@ -247,7 +245,7 @@ class DrawnLogicalScenario:
 
 
 class DrawnEncoding:
-    """Encoding of a highway-env environment's scenarios as points of [0, 1]^n.
+    """Encoding of a highway-env environment's draws as points of [0, 1]^n; see `behavexplor.data.scenario.Encoding`.
 
     The last block has one gene, the seed. A gene that a block does not need stands for nothing.
 

@@ -118,7 +118,7 @@ class DrawnScenario:
         every = list(chain.from_iterable(values for _, values in self.draws))
         if len(every) > MAX_DRAWS:
             raise InputError(f"draws: at most {MAX_DRAWS} can be given")
-        if {*map(type, every)} <= {float} and math.isfinite(sum(every)):  # no value is infinite or NaN then
+        if {*map(type, every)} <= {float} and math.isfinite(sum(every)):  # then every value is finite
             return
         for name, values in self.draws:
             for i, value in enumerate(values):

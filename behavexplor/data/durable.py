@@ -111,8 +111,8 @@ def _check_replaceable(path: Path) -> None:
 
 def _new(partial: Path) -> BufferedWriter:
     try:
-        return partial.open("xb")  # which follows no link
-    except FileExistsError:  # of an earlier crash
+        return partial.open("xb")  # "x" follows no link
+    except FileExistsError:  # left by an earlier crash
         partial.unlink()
         return partial.open("xb")
 

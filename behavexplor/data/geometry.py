@@ -204,7 +204,7 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
 
 @lru_cache(maxsize=8)  # all traces of a scene have the same route
 def _pieces(vertices: bytes) -> tuple[Floats, Floats, Floats]:
-    """Return the segments, the stations of the vertices, shape (P,) [m], and the headings of the segments.
+    """Return a polyline's segments, the stations of the vertices, shape (P,) [m], and the headings of the segments.
 
     A segment is its direction, as a unit vector, and its length, shape (P - 1, 3) [m]. Headings, shape (P - 1,) [rad],
     have no jumps by a whole turn. `vertices` are the bytes of floats of shape (P, 2), because the cache needs a key.

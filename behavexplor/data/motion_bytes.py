@@ -32,7 +32,7 @@ def pack_motion(motion: Floats, resolution: float) -> Bytes:
 
 
 def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
-    """Return the motion that `pack_motion` packed, a read-only array of shape (T, ...), T the number of frames.
+    """Return the motion that `pack_motion` packed with this resolution, read-only, shape (T, ...) with T = `frames`.
 
     Raises:
         InputError: if the bytes have another shape.

@@ -49,7 +49,7 @@ class Routes(NamedTuple):
 
 
 def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
-    """Compute x [m], y [m], heading [rad], speed [m/s] and acceleration [m/s2] of every NPC: (T, n_npcs, 5).
+    """Compute x [m], y [m], heading [rad], speed [m/s] and acceleration [m/s2] of every NPC, shape (T, n_npcs, 5).
 
     The scenario is valid on the map. The times are >= 0 and never decrease, shape (T,) [s].
     """
@@ -61,7 +61,7 @@ def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
 
 
 def motion_on_route(roadmap: RoadMap, route: Route, waypoints: Floats, time: Floats) -> Floats:
-    """Compute the motion of K vehicles on one route, each as if it were alone: x, y and heading, (K, T, 3).
+    """Compute x [m], y [m] and heading [rad] of K vehicles on one route, each as if it were alone, shape (K, T, 3).
 
     Their waypoints are positions [m] and speeds [m/s], shape (K, waypoints, 2). The times are >= 0 and never decrease,
     shape (T,) [s].
@@ -122,10 +122,10 @@ def fill_frames(routes: Routes, route: int, phases: Floats, n_phases: int, time:
 
 @kernel_in_place
 def fill_phases(waypoints: Floats, phases: Floats) -> int:
-    """Compute an NPC's phases of constant acceleration, and return their number. It stands in the last one.
+    """Fill in an NPC's phases of constant acceleration, and return their number. It stands in the last one.
 
-    The rows, of which there must be one more than waypoints, have the time at which a phase begins [s], the station [m]
-    and speed [m/s] then, and the acceleration [m/s2].
+    A row of `phases`, of which there must be at least one more than waypoints, has the time at which the phase begins
+    [s], the station [m] and speed [m/s] at that time, and the acceleration [m/s2]. Waypoints: see `waypoint_array`.
     """
     n = 0
     time, station, speed = 0.0, waypoints[0, 0], waypoints[0, 1]

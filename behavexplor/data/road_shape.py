@@ -1,4 +1,8 @@
-"""The shape of a road for pictures: surfaces, borders and lines between lanes."""
+"""The shape of a road for pictures: surfaces, borders and lines between lanes; and its lanes as a plan for other tools.
+
+Both kinds of roads become a plan: the map of a functional scenario by `plan_of_map`, and the road of a highway-env
+environment by `behavexplor.envs.highway.course.road_plan`.
+"""
 
 import json
 import math
@@ -31,8 +35,7 @@ class RoadShape:
     striped: tuple[Floats, ...] = ()  # lines between lanes, each of shape (n, 2)
     borders: tuple[Floats, ...] = ()  # lines at the sides of roads, each of shape (n, 2)
     line_kinds: tuple[str, ...] = ()  # kinds of the illegal lines in a trace
-    # center lines of the routes of NPCs by name, each of shape (n, 2)
-    routes: dict[str, Floats] = field(default_factory=dict)
+    routes: dict[str, Floats] = field(default_factory=dict)  # center lines of NPCs' routes by name, of shape (n, 2)
 
     @property
     def n_points(self) -> int:
@@ -123,7 +126,7 @@ class PlannedLane:
     speed_limit: float | None  # speed limit [m/s]; None without one
 
 
-RoadPlan = tuple[PlannedLane, ...]
+RoadPlan = tuple[PlannedLane, ...]  # all lanes of a road
 
 
 def plan_of_map(roadmap: RoadMap) -> RoadPlan:

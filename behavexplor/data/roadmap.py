@@ -20,7 +20,8 @@ DOUBLE_YELLOW, CURB = "double-yellow", "curb"
 class Lane:
     """A lane with a straight or circular center line and a constant width.
 
-    Lanes with the same `origin` and `target` run side by side and are listed from left to right.
+    Lanes with the same `origin` and `target` run side by side and are listed from left to right. Stations are distances
+    from the start along the center line [m].
     """
 
     name: str  # name of the lane, unique within the map
@@ -90,7 +91,7 @@ class Route:
         return float(self.bounds[-1])
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Compute x [m], y [m] and heading [rad] at stations, (..., 3). The outer lanes continue beyond the ends."""
+        """Compute x [m], y [m] and heading [rad] at stations, shape (..., 3). The outer lanes go on beyond the ends."""
         s = np.asarray(station, dtype=np.float64)
         index = np.searchsorted(self.bounds[1:-1], s, side="right")
         poses = np.empty((*s.shape, 3))
@@ -131,8 +132,7 @@ class RoadMap:
     illegal_lines: Floats  # end points of the lines that must not be touched, read-only, shape (L, 2, 2) [m]
     line_kinds: tuple[str, ...]  # kind of each illegal line, `DOUBLE_YELLOW` or `CURB`
     speed_limit: float  # speed limit on all lanes [m/s]
-    # offset of the ego's start to the right of its route [m], not 0 if the ego has to change lanes
-    ego_offset: float = 0.0
+    ego_offset: float = 0.0  # how far to the right of its route the ego starts [m]; not 0 if it has to change lanes
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "illegal_lines", _read_only(self.illegal_lines))

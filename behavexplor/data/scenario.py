@@ -94,7 +94,7 @@ Value = float | str | None
 
 
 class Part(NamedTuple):
-    """A vehicle, or another part of a scene, as a list of values.
+    """A vehicle, or another part of a scene, as a list of values, which minimization removes or makes plain.
 
     Attributes:
         label: what stays as it is as long as the part is there, such as the route of a vehicle.
@@ -294,12 +294,7 @@ class LogicalScenario(Protocol):
         ...
 
     def first_frame(self, scenario: Any, end: str) -> Trace:
-        """Return the trace of an episode that ended before any vehicle moved.
-
-        Args:
-            scenario: the scenario.
-            end: kind of end, one of `behavexplor.data.trace.ENDS`.
-        """
+        """Return the trace of an episode that ended before any vehicle moved. `end` is one of the trace's `ENDS`."""
         ...
 
     def describe(self, scenario: Any) -> str:

@@ -25,6 +25,7 @@ from behavexplor.errors import InputError, brief, unknown_name
 
 MAX_NAME_LENGTH = 200  # characters
 MAX_NUMBER = 1e9  # limit of positions [m] and speeds [m/s]
+_ATTEMPTS: Final = 1000  # vehicles that are drawn until one can be placed
 _MARGIN: Final = 1e-6  # much more than roundings change a distance [m]
 
 
@@ -45,8 +46,8 @@ class Waypoint:
 
     def __post_init__(self) -> None:
         position, speed = self.position, self.speed
-        if type(position) is float is type(speed) and 0.0 <= position < MAX_NUMBER and 0.0 <= speed < MAX_NUMBER:
-            return  # nearly always
+        if type(position) is type(speed) is float and 0.0 <= position < MAX_NUMBER and 0.0 <= speed < MAX_NUMBER:
+            return  # nearly always, and faster than the checks below
         object.__setattr__(self, "position", _number("position", position))
         object.__setattr__(self, "speed", _number("speed", speed))
 
@@ -221,8 +222,7 @@ class ScriptedRanges:
     roadmap: RoadMap  # the map
     n_npcs: int  # number of NPCs in a sampled scenario, and the greatest number in any scenario
     waypoints_per_lane: int  # number of waypoints that an NPC has on each lane of its route
-    # least speed at every waypoint except the last one [m/s]; the greatest speed is the speed limit
-    min_speed: float = 0.2
+    min_speed: float = 0.2  # least speed at every waypoint but the last [m/s]; the greatest is the speed limit
     end_gap: float = 2.5  # least distance of a starting NPC's center from the ends of its first lane [m]
     npc_gap: float = 8.0  # least distance between the centers of NPCs that start in the same lane [m]
     ego_gap: float = 15.0  # least distance between the centers of the ego and a starting NPC [m]
@@ -363,17 +363,17 @@ class ScriptedRanges:
         waypoints[-1] = Waypoint(position, 0.0)
         return NPC(kind, route.name, tuple(waypoints))
 
-    def place(self, draw: Callable[[], NPC], others: Sequence[NPC], attempts: int = 1000) -> NPC:
+    def place(self, draw: Callable[[], NPC], others: Sequence[NPC]) -> NPC:
         """Draw vehicles until one can start beside the other vehicles, and return it.
 
         Raises:
-            InputError: if none of `attempts` drawn vehicles can be placed.
+            InputError: if none of `_ATTEMPTS` drawn vehicles can be placed.
         """
-        npc = self.first_to_fit((draw() for _ in range(attempts)), others)
+        npc = self.first_to_fit((draw() for _ in range(_ATTEMPTS)), others)
         if npc is not None:
             return npc
         raise InputError(
-            f"{self.name}: none of {attempts} draws could be placed beside {len(others)} NPCs; use fewer NPCs"
+            f"{self.name}: none of {_ATTEMPTS} draws could be placed beside {len(others)} NPCs; use fewer NPCs"
         )
 
 

@@ -1,7 +1,7 @@
 """Logical scenarios of scripted vehicles: ranges of scenarios on a map, with their mutations, encoding and parts.
 
-The encoding makes vectors of fixed length of them. Every vector is a valid scenario. Source: paper section 2.2, for the
-parameters that are searched (the NPCs' routes and waypoints).
+The encoding turns scenarios into vectors of fixed length, and every vector is a valid scenario. Source: paper section
+2.2, for the parameters that are searched (the NPCs' routes and waypoints); Algorithm 2, for the mutations.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -81,7 +81,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
         return mutated(scenario, self, rng, keep_probability, lambda _: self.sample_npc(rng))
 
     def first_frame(self, scenario: ScriptedScenario, end: str) -> Trace:
-        """Return the trace of an episode that ended, in one of `ENDS`, before any vehicle moved."""
+        """Return the trace of an episode that ended before any vehicle moved. `end` is one of the trace's `ENDS`."""
         roadmap = self.roadmap
         poses = np.stack([roadmap.start_pose, *map(self.start_pose_of, scenario.npcs)])
         speeds = np.array([0.0, *(npc.waypoints[0].speed for npc in scenario.npcs)])
@@ -107,7 +107,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
         return f"{len(routes)} NPCs: {listed}" if routes else "no NPCs"
 
     def parts(self, scenario: ScriptedScenario) -> Parts:
-        """Return the vehicles of a scenario as parts; see `behavexplor.data.scripted_logical`."""
+        """Return the vehicles of a scenario as parts; see `part_of`."""
         return tuple(part_of(npc, self) for npc in scenario.npcs)
 
     def with_parts(self, scenario: ScriptedScenario, parts: Parts) -> ScriptedScenario:
@@ -118,7 +118,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
 
 
 def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
-    """Return a logical scenario of scripted vehicles as what it is; `what` needs it, for the error message.
+    """Return `logical` itself if its vehicles are scripted. The error message begins with `what`, which needs them.
 
     Raises:
         InputError: if it is one of a highway-env environment.
@@ -155,7 +155,9 @@ def mutated(
     keep_probability: float,
     change: Callable[[NPC], NPC],
 ) -> ScriptedScenario:
-    """Change each NPC with probability 1 - epsilon, and place it beside the other NPCs by the spawn rules.
+    """Change each NPC with probability 1 - `keep_probability`, and place it beside the other NPCs by the spawn rules.
+
+    The paper calls the probability to keep an NPC epsilon. A mutant differs from its parent.
 
     Raises:
         InputError: if no mutant was found.
@@ -172,11 +174,11 @@ def mutated(
 
 
 class ScriptedEncoding:
-    """Encoding of a logical scenario's concrete scenarios as points of [0, 1]^n.
+    """Encoding of scripted scenarios as points of [0, 1]^n; see `behavexplor.data.scenario.Encoding`.
 
     Each parameter is a gene, and uniform genes give the distribution of the sampler. An NPC is a block of genes:
 
-    - its type and its route, each an equal part of [0, 1];
+    - its type and its route, each an equal section of [0, 1];
     - the position of every waypoint, as a share of the part of its range that lies behind the previous waypoint;
     - the speed at every waypoint but the last, as a share of the speed range.
 
@@ -214,23 +216,23 @@ class ScriptedEncoding:
         """Decode genes, shape (n,), to a valid scenario. Values beyond [0, 1] are clipped.
 
         Raises:
-            InputError: if they have a wrong shape or are not finite, or there is no place for all vehicles.
+            InputError: if the vector has a wrong shape or is not finite, or there is no place for all vehicles.
         """
         vector = np.asarray(vector, dtype=np.float64)
         if vector.shape != (self.size,) or not np.isfinite(vector).all():
             raise InputError(f"vector: expected {self.size} finite numbers, got shape {vector.shape}")
         npcs: list[NPC] = []
         for genes in np.clip(vector, 0.0, 1.0).reshape(self.n_blocks, self.n_genes).tolist():
-            npcs.append(self._placed(genes, npcs))
+            npcs.append(self._npc(genes, npcs))
         return ScriptedScenario(self.logical.name, tuple(npcs))
 
     def encode(self, scenario: ScriptedScenario) -> Floats:
-        """Encode a valid scenario with an NPC for each block as genes, shape (n,). `decode` restores six decimals.
+        """Encode a valid scenario as genes, shape (n,). `decode` restores it to six decimals.
 
-        The genes of type and route are the middles of their parts of [0, 1].
+        The genes of type and route are the middles of their sections of [0, 1].
 
         Raises:
-            InputError: if the scenario has more or fewer NPCs.
+            InputError: if the scenario has not exactly one NPC for each block.
         """
         if len(scenario.npcs) != self.n_blocks:
             raise InputError(f"npcs: expected {self.n_blocks}, got {len(scenario.npcs)}")
@@ -243,15 +245,15 @@ class ScriptedEncoding:
         (types + routes + n_genes - 2) features.
         """
         blocks = vectors.reshape(len(vectors), self.n_blocks, self.n_genes)
-        parts = [
-            np.eye(count)[_parts(blocks[..., gene], count)] / np.sqrt(2)
+        chosen = [
+            np.eye(count)[_sections(blocks[..., gene], count)] / np.sqrt(2)
             for gene, count in ((TYPE, len(self.logical.vehicle_types)), (ROUTE, len(self._routes)))
         ]
-        return np.concatenate([*parts, blocks[..., START:]], axis=2).reshape(len(vectors), -1)
+        return np.concatenate([*chosen, blocks[..., START:]], axis=2).reshape(len(vectors), -1)
 
-    def _placed(self, genes: list[float], others: list[NPC]) -> NPC:
+    def _npc(self, genes: list[float], others: list[NPC]) -> NPC:
         """Decode an NPC from a block of genes, moved to the nearest position at which it can start beside `others`."""
-        first = _part(genes[ROUTE], len(self._routes))
+        first = _section(genes[ROUTE], len(self._routes))
         routes = (*self._routes[first:], *self._routes[:first])
         starting = (self._starting(genes, route.name, start) for route in routes for start in _outwards(genes[START]))
         npc = self.logical.first_to_fit(starting, others)
@@ -259,7 +261,7 @@ class ScriptedEncoding:
             raise InputError(f"{self.logical.name}: no place for {self.n_blocks} NPCs; use fewer")
         waypoints, ranges = list(npc.waypoints), self.logical.ranges[npc.route]
         speeds = [*genes[START + self._n_waypoints :], 0.0]
-        for allowed, share, speed in zip(ranges[1:], genes[START + 1 :], speeds[1:], strict=False):
+        for allowed, share, speed in zip(ranges[1:], genes[START + 1 :], speeds[1:], strict=False):  # used genes only
             waypoints.append(_waypoint(allowed, waypoints[-1].position, share, speed))
         return NPC(npc.type, npc.route, tuple(waypoints))
 
@@ -267,7 +269,7 @@ class ScriptedEncoding:
         """Decode an NPC with its first waypoint only."""
         kinds, speeds = self.logical.vehicle_types, [*genes[START + self._n_waypoints :], 0.0]
         waypoint = _waypoint(self.logical.ranges[route][0], 0.0, start, speeds[0])
-        return NPC(kinds[_part(genes[TYPE], len(kinds))], route, (waypoint,))
+        return NPC(kinds[_section(genes[TYPE], len(kinds))], route, (waypoint,))
 
     def _block(self, npc: NPC) -> list[float]:
         kinds, names = self.logical.vehicle_types, [route.name for route in self._routes]
@@ -285,13 +287,13 @@ class ScriptedEncoding:
         return genes
 
 
-def _parts(genes: Floats, count: int) -> NDArray[np.intp]:
-    """Return the index of the part that contains each gene, among `count` equal parts of [0, 1]."""
+def _sections(genes: Floats, count: int) -> NDArray[np.intp]:
+    """Return the index of the section that contains each gene, among `count` equal sections of [0, 1]."""
     return np.minimum((np.clip(genes, 0.0, 1.0) * count).astype(np.intp), count - 1)
 
 
-def _part(gene: float, count: int) -> int:
-    """Return the index of the part that contains a gene in [0, 1], see `_parts`."""
+def _section(gene: float, count: int) -> int:
+    """Return the index of the section that contains a gene in [0, 1], see `_sections`."""
     return min(int(gene * count), count - 1)
 
 
@@ -314,7 +316,12 @@ def _outwards(share: float) -> Iterator[float]:
 
 
 def part_of(npc: NPC, ranges: ScriptedRanges) -> Part:
-    """Return a vehicle as a part: its type, the positions of all waypoints, and the speeds of all but the last one."""
+    """Return a vehicle as a part: its type, the positions of all waypoints, and the speeds of all but the last one.
+
+    A plain vehicle is a sedan that drives at the speed limit from the middle of its first lane to the end of its route.
+    The speed of a waypoint is plain if it is that of the waypoint before. Its position is plain if it is in the middle
+    of the lane, or at the waypoint before if that is farther on.
+    """
     positions, speeds = [], []
     before = Waypoint(0.0, ranges.speed_range[1])
     for waypoint, plain in zip(npc.waypoints, _middles(npc.route, ranges), strict=True):

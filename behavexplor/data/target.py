@@ -92,7 +92,7 @@ class Target(Conditions):
 
     @property
     def target(self) -> "CheckedTarget":
-        """What the processes need to know in which it drives."""
+        """The fields of `Target` alone, for the processes that execute scenarios."""
         return CheckedTarget(**{one.name: getattr(self, one.name) for one in fields(Target)})
 
     def to_dict(self) -> dict[str, Any]:

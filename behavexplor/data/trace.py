@@ -1,8 +1,7 @@
-"""Traces: the record of one episode, as arrays."""
+"""Traces: the record of one episode, as arrays; and the names of weaknesses in the log of the rule planner."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from operator import gt
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -26,7 +25,7 @@ MOST_CONTACTS = 100_000_000  # of frames and illegal lines that are compared
 _COUNTED = ("frames", "vehicles times frames", "seconds", "points of the route", "illegal lines times frames")
 ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error", "off-road", "ended")
 ABSENT = 1e5  # both coordinates of a vehicle while it is absent, far from every road [m]
-CRASHED, OFF_ROAD, ARRIVED = "crashed", "off_road", "arrived"  # names of signals
+CRASHED, OFF_ROAD, ARRIVED = "crashed", "off_road", "arrived"  # names of signals; `ARRIVED` is a kind of end, too
 CHANGING, WAY, WRECKS = "changing_lanes", "way", "wrecks"
 PARTNER, PARTNER_LANES = "partner", "partner_lanes"
 WAYS: Final = (  # what an ego does on the road on which it is, by the value of the signal `WAY`
@@ -39,11 +38,12 @@ WAYS: Final = (  # what an ego does on the road on which it is, by the value of 
 )
 ELSEWHERE, ON_ITS_WAY, OBSTACLE = range(3)  # values of the signal `PARTNER`
 _MOTION = ("position", "heading", "velocity")
-_PACKED = (*_MOTION, "present")  # arrays of which each value takes a byte in a file
+_PACKED = (*_MOTION, "present")  # arrays whose elements are single bytes in a file
 _NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})
 _ALL_PRESENT = np.ones((0, 0), dtype=bool)
 _NOTHING_MORE = {"decisions": _NO_ARRAYS, "signals": _NO_ARRAYS, "present": _ALL_PRESENT, "partner": -1}
-_OTHERS = ("end", "decisions", "signals", "present", "partner")
+_OTHERS = ("end", "decisions", "signals", "present", "partner")  # fields that are no arrays, or need not be given
+# The weaknesses that the paper found in Apollo 6.0 (section 4.1.2); each is a bit in the log of the rule planner.
 WEAKNESS_NAMES: Final = (
     *(f"R1-{i}" for i in range(1, 9)),
     *(f"R2-{i}" for i in range(1, 5)),
@@ -74,13 +74,13 @@ class Trace:
         end: kind of end: "collision", "arrived", "passed" (the destination), "standstill", "timeout", "off-road",
             "ended" (by another rule of the environment), or "error" if the ADS failed instead of returning an action.
         decisions: the ADS's own log, as arrays by name, each of shape (D, ...).
-        signals: what a highway-env environment itself says in each frame, as arrays by name, each of shape (T,): 1 or 0
-            for whether the ego "crashed", is "off_road" or "arrived"; -1, 1 or 0 for whether it is "changing_lanes" to
-            the left, the right or not; its "way", a place in `WAYS`; and of the `partner`, whether it is `ELSEWHERE`,
-            `ON_ITS_WAY` (on the ego's road or one that follows or precedes it) or an `OBSTACLE`, and how many
-            "partner_lanes" it is to the right of the ego's lane if it is on its way. "wrecks", of shape (T, N), is 1
-            for vehicles that have crashed. A signal is missing if it means nothing in the environment. Without
-            signals, the specs judge by the vehicles' boxes.
+        signals: what a highway-env environment itself says in each frame, as arrays by name, each of shape (T,). A
+            signal is missing if it means nothing in the environment. Without signals, the specs judge by the vehicles'
+            boxes. "crashed", "off_road" and "arrived" are 1 or 0 for the ego; so is "wrecks" for all vehicles, in the
+            shape (T, N). "changing_lanes" is -1 while the ego changes lanes to the left, 1 to the right, else 0. "way"
+            is what the ego does, a place in `WAYS`. "partner" says where the vehicle `partner` is: `ELSEWHERE`,
+            `ON_ITS_WAY` (on the ego's road or one that follows or precedes it), or whether it is an `OBSTACLE`.
+            "partner_lanes" says how many lanes it is to the right of the ego's, if it is on its way.
         present: whether each vehicle is present, shape (T, N); empty if all vehicles are present in all frames. An
             absent vehicle stands at `ABSENT`.
         partner: the vehicle that the ego crashed into, as far as the environment tells, an index of `size`; -1 if there
@@ -104,7 +104,7 @@ class Trace:
     decisions: Mapping[str, Floats] = field(default_factory=dict)
     signals: Mapping[str, Floats] = field(default_factory=dict)
     present: Bools = field(default_factory=lambda: np.ones((0, 0), dtype=bool))
-    partner: int = field(default_factory=lambda: -1)  # no default of the class, which `__getattr__` would never see
+    partner: int = field(default_factory=lambda: -1)  # a default of the class would hide it from `__getattr__`
 
     def __post_init__(self) -> None:
         self._freeze(step=RESOLUTION)
@@ -160,8 +160,6 @@ class Trace:
         frames, vehicles, lines = len(self.time), len(self.size), len(self.illegal_lines)
         counts = (frames, vehicles * frames, self.time[-1], len(self.route), lines * frames)
         limits = (MOST_FRAMES, MOST_PLACES, LONGEST, MOST_POINTS, MOST_CONTACTS)
-        if not any(map(gt, counts, limits)):
-            return
         for what, count, most in zip(_COUNTED, counts, limits, strict=True):
             if count > most:
                 raise InputError(f"A trace has at most {most:,.0f} {what}, not {count:,.0f}")
@@ -187,7 +185,7 @@ class Trace:
         return float(np.hypot(*(self.position[-1, 0] - self.destination)))
 
     def until(self, frames: int, end: str) -> Self:
-        """Return the first frames of the trace, at least 1, as of an episode that ended there in one of `ENDS`."""
+        """Return the trace of the first `frames` frames, at least 1, as if the episode had ended there by `end`."""
         given = self.action_frame < frames
         return replace(
             self,
@@ -204,10 +202,7 @@ class Trace:
         )
 
     def with_decisions(self, decisions: Mapping[str, Array]) -> Self:
-        """Return the same trace with another log of the ADS.
-
-        Args:
-            decisions: arrays by name, each of shape (D, ...).
+        """Return the same trace with another log of the ADS: arrays by name, each of shape (D, ...).
 
         Raises:
             InputError: if the shape or a value of an array is wrong.

@@ -20,7 +20,6 @@ MAX_DEPTH: Final = 40  # nesting depth of values in a YAML file
 MAX_DIGITS: Final = 100  # characters of an integer in a YAML file; Python cannot write very long ones as text
 MAX_JSON_LENGTH: Final = 1_000_000  # characters; a scenario of the paper has about 1500
 MAX_ARRAY_BYTES: Final = 200_000_000  # unpacked size of all arrays in an npz file
-
 MAX_FILE_BYTES: Final = 100_000_000  # size of a file that is read as a whole, unless a reader says otherwise
 
 _GZIP: Final = 31  # tells zlib that data has the header of gzip
@@ -31,8 +30,8 @@ _INTEGER: Final = "tag:yaml.org,2002:int"
 def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) -> bytes:
     """Return the contents of a file of at most `most` bytes.
 
-    A pipe would be waited for without end. With `pipes`, for a file that a user names, it may be one that the process
-    was started with, such as /dev/stdin or that of a shell's `<(...)`.
+    A pipe is refused, because it might be waited for without end. With `pipes`, for a file that the user names, a pipe
+    with which the process was started is read as well, such as /dev/stdin or that of a shell's `<(...)`.
 
     Raises:
         InputError: if it is not a regular file, or too large.
@@ -43,11 +42,12 @@ def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) ->
     is_given = pipes and path.is_relative_to("/dev")
     if not (is_given or is_file or stat.S_ISDIR(status.st_mode)):  # opening a folder says what it is
         raise InputError(f"{path} is not a regular file")
+    is_too_large = is_file and status.st_size > most
     data = b""
-    if not (is_file and status.st_size > most):
+    if not is_too_large:
         with path.open("rb") as file:
             data = file.read(most + 1)
-    if len(data) > most or (is_file and status.st_size > most):
+    if is_too_large or len(data) > most:
         raise InputError(f"{path} has more than {most} bytes, which are not read")
     if data.startswith(b"version https://git-lfs"):
         raise InputError(f"{path} only says where Git LFS has the file: fetch it by `git lfs pull` in its repository")
@@ -78,7 +78,7 @@ def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> An
 
 
 def _extent(node: yaml.Node, known: dict[int, tuple[int, int]]) -> tuple[int, int]:
-    """Return the number of nodes in a node, with aliases expanded, and their depth."""
+    """Return the number of nodes in a node, with aliases expanded, and their depth, which is limited."""
     if node.tag == _INTEGER and len(node.value) > MAX_DIGITS:
         raise ValueError("an integer in it is too long")
     if id(node) not in known:

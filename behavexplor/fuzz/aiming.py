@@ -131,7 +131,8 @@ class Aiming:
 def _meets(poses: Floats, drive: Drive, reach: float) -> NDArray[np.bool_]:
     """Return whether each vehicle meets the ego in a way that the ego would be to blame for, shape (K,).
 
-    `poses` are x, y and heading of each vehicle at the times of the drive, shape (K, F, 3).
+    `poses` are x, y and heading of each vehicle at the times of the drive, shape (K, F, 3). A vehicle meets
+    the ego if their centers come closer than `reach` [m].
     """
     gap = poses[..., :2] - drive.pose[:, :2]
     at = np.hypot(gap[..., 0], gap[..., 1]).argmin(1)

@@ -227,8 +227,8 @@ def fitness(trace: Trace, *, collided: bool) -> float:
     """Compute the fitness of an execution. A greater value is riskier [1/(m s)].
 
     The fitness is that of the ISSTA 2023 paper's baseline, see the module. It is the largest value of
-    |v_ego - v_npc| / (d + 1)^2 over all frames and NPCs, where d is the distance of the boxes [m]. After a collision,
-    it is 100 + |v_ego - v_npc| for the nearest NPC in the last frame: if the ego `collided`, by touching an NPC.
+    |v_ego - v_npc| / (d + 1)^2 over all frames and NPCs, where d is the distance of the boxes [m]. If the ego has
+    `collided` with an NPC, it is 100 + |v_ego - v_npc| for the nearest NPC in the last frame.
     """
     if len(trace.size) == 1:
         return 0.0

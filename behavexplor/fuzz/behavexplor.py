@@ -27,7 +27,10 @@ _BENIGN_SHARE = 0.1  # a passed mutant costs less energy than a failed one adds
 
 
 def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
-    """Compute dE_F of a parent (paper equation 15) from the last mutant and from #F and #NF, which include that one."""
+    """Compute dE_F of a parent (paper equation 15): how its energy changes when its last mutant `failed` or passed.
+
+    `n_failed` and `n_passed` are the numbers of its mutants that failed or not, #F and #NF, with the last one.
+    """
     if failed:
         return n_failed / (n_passed + n_failed)
     return -_BENIGN_SHARE * n_passed / (n_passed + n_failed)
@@ -64,7 +67,6 @@ class Testcase:
 
     number: int  # number of the candidate that became this testcase
     scenario: Scenario
-    parent: int | None  # number of the testcase from which it was mutated, if any
     degree: float  # violation degree of its execution, the paper's O [m]
     behavior: int  # index of its behavior in the miner
     selections: int = 0  # number of times that it was selected
@@ -125,7 +127,10 @@ _REACH = 10.0  # distance to the destination at which its term saturates [m], as
 
 @validated
 class AssessmentOptions:
-    """Options of the assessment that guides a search. By default it is the verdict; other values are the release's."""
+    """Options of the assessment that guides a search. With the defaults, it equals the recorded verdict.
+
+    The authors' released program is guided by figures that differ from the paper's formulas. Other values give these.
+    """
 
     # violation degree. "sum" is the sum of the specs' degrees, the paper's O. "clipped" is the mean of the terms D_b,
     # D_yellow, D_curb (at most 1 m each) and 1 - min(D, 10) / 10, as released.
@@ -215,7 +220,7 @@ class BehAVExplorOptions:
     # source of novelty. "measured" is the novelty of a mutant's behavior. "random" is a control in which novelty and
     # distance are drawn from [0, 1]. "none" is the paper's w/o BG.
     novelty: Literal["measured", "random", "none"] = "measured"
-    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # theta_c, from the nearest known behavior
+    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # theta_c: novel if farther from all known
     # testcases whose behaviors are known (the paper's Y): all that were "kept", or only initial and "novel" ones
     known: Literal["kept", "novel"] = "kept"
     selection: Literal["energy", "uniform"] = "energy"  # how a testcase is drawn; "uniform" is the paper's w/o Energy
@@ -225,7 +230,7 @@ class BehAVExplorOptions:
     # epsilon of waypoint mutation, the probability that an NPC stays unchanged
     waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
     route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon of route mutation
-    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # the same of an NPC's waypoint
+    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # epsilon of a waypoint
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
     sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0  # standard deviation of waypoint mutation [m/s]
     # in highway-env environments, the standard deviation of the small mutation of a draw, as a share of the draw's
@@ -411,7 +416,7 @@ class BehAVExplor:
         index = self._miner.add(behavior) if behavior is not None else _NOT_MINED
         if known and behavior is not None:
             self._known = np.append(self._known, index)
-        testcase = Testcase(candidate.number, candidate.scenario, candidate.parent, assessment.degree, index)
+        testcase = Testcase(candidate.number, candidate.scenario, assessment.degree, index)
         self._corpus.add(testcase, energy)
 
     def status(self) -> Mapping[str, float]:

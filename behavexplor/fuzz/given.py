@@ -52,7 +52,7 @@ class Given:
 def read_scenarios(path: Path, logical: LogicalScenario) -> list[Scenario]:
     """Return the scenarios of a file, one as JSON in each line, as scenarios of a logical scenario.
 
-    Another driver may drive in it than in that of the file.
+    They may have been found with another driver.
 
     Raises:
         InputError: if the file cannot be read, or a scenario is not valid; the message names the line.

@@ -40,7 +40,7 @@ class NichingOptions:
     population: Annotated[int, between(1, MAX_POPULATION)] = 20  # number of executions that may become parents
     initial: Annotated[int, between(1)] = 20  # number of uniform scenarios executed before the first child
     uniform: Annotated[float, between(0, 1)] = 0.2  # least share of uniform scenarios after these
-    penalty: Annotated[float, between(0)] = 0.5  # worse by this when the niche is seen e times as often [s]
+    penalty: Annotated[float, between(0)] = 0.5  # added to the score when its niche is seen e times as often [s]
 
 
 class _Parent(NamedTuple):
@@ -83,13 +83,13 @@ class Niching:
             sigma = math.exp(rng.uniform(*np.log(_SIGMAS)))
             share = 1.0 if rng.random() < 0.5 else _FEW
             noise = (rng.random(len(parent)) < share) * rng.normal(0.0, sigma, len(parent))
-            child: Floats = np.abs((parent + noise + 1.0) % 2.0 - 1.0)
+            child: Floats = np.abs((parent + noise + 1.0) % 2.0 - 1.0)  # reflected at 0 and 1
             if (features(child[None]) != features(parent[None])).any():
                 break
         return child
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Count the niche of an execution, and keep the best parents; tell the `time_left` until a collision [s]."""
+        """Count the niche of an execution, and keep the best parents. Return the `time_left` until a collision [s]."""
         time_left, niche = Nearness.of(trace, verdict)
         score = 0.0 if verdict.violated else _LEAST + time_left
         self._seen[niche] += 1

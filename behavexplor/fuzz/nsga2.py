@@ -77,12 +77,11 @@ class NSGA2:
         return candidate
 
     def _plan(self, rng: np.random.Generator) -> None:
-        self._algorithm.random_state = rng
-        bred = self._algorithm.infill()
+        algorithm = self._algorithm
+        algorithm.random_state = rng
+        bred = algorithm.infill()
         if bred is None:  # pymoo found no offspring that is new to the population
-            bred = self._algorithm.initialization.do(
-                self._algorithm.problem, self._algorithm.pop_size, random_state=rng
-            )
+            bred = algorithm.initialization.do(algorithm.problem, algorithm.pop_size, random_state=rng)
         generation = _BredGeneration(bred, OFFSPRING if self._generations else INITIAL)
         self._queue.extend((generation, index) for index in range(len(generation.vectors)))
 
@@ -101,9 +100,8 @@ class NSGA2:
         from pymoo.problems.static import StaticProblem  # noqa: PLC0415
 
         values = np.array([generation.values[index] for index in range(len(generation.vectors))])
-        self._algorithm.problem.n_obj = values.shape[
-            1
-        ]  # known from the first verdict on: users have specs of their own
+        # known from the first verdict on: users have specs of their own
+        self._algorithm.problem.n_obj = values.shape[1]
         generation.population.set("X", generation.vectors)
         Evaluator().eval(StaticProblem(self._algorithm.problem, F=values), generation.population)
         self._algorithm.advance(infills=generation.population)
@@ -115,7 +113,7 @@ class NSGA2:
 
 
 def _algorithm(size: int, options: NSGA2Options) -> Any:
-    """Create pymoo's algorithm on points of [0, 1]^size."""
+    """Create pymoo's algorithm on points of [0, 1]^size. An `InputError` says that pymoo is not installed."""
     try:
         from pymoo.algorithms.moo.nsga2 import NSGA2 as Algorithm  # noqa: PLC0415, N811 - slow to import
         from pymoo.core.problem import Problem  # noqa: PLC0415

@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 
-from behavexplor.behavior.features import state_matrix
+from behavexplor.behavior.features import ATTRIBUTES, state_matrix
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.scenario import LogicalScenario
@@ -45,12 +45,12 @@ SCALES: Mapping[Measure, float] = MappingProxyType(  # values that are scaled to
 
 def describe(trace: Trace, measures: Sequence[Measure]) -> Floats:
     """Compute measures of the ego's behavior in an execution, each in [0, 1], shape (measures,)."""
-    states = state_matrix(trace).astype(np.float64)
-    speed, across = states[:, 0], np.abs(states[:, 5])
+    states = dict(zip(ATTRIBUTES, state_matrix(trace).astype(np.float64).T, strict=True))
+    speed = states["speed"]
     values = {
         "mean-speed": speed.mean() if len(speed) else 0.0,
-        "braking": -states[:, 1].min(initial=0.0),
-        "cornering": across.max(initial=0.0),
+        "braking": -states["speed-change"].min(initial=0.0),
+        "cornering": np.abs(states["acceleration-across"]).max(initial=0.0),
         "standing": (speed < STANDING_SPEED).mean() if len(speed) else 1.0,
         "duration": trace.duration,
     }
@@ -81,7 +81,7 @@ class VariationOptions:
 class EliteSearch:
     """The part that both methods share: uniform scenarios at first, then variations of two uniformly drawn elites.
 
-    The archive is the name of a class of pyribs.
+    `archive` is the name of a class of pyribs, which is made with the `settings`.
 
     Raises:
         InputError: if pyribs is not installed.
@@ -155,10 +155,8 @@ class MAPElites(EliteSearch):
         """Put a scenario into its `cell`. It is `kept` if it is better than the elite there, or the first one."""
         measures = describe(trace, self._options.measures)
         objective = 0.0 if verdict.failed else -verdict.degree
-        status = self._archive.add_single(
-            self._asker.told(candidate), objective, measures, **{ELITES: candidate.number}
-        )["status"]
-        return {"cell": int(self._archive.index_of_single(measures)), "kept": bool(np.ravel(status)[0] > 0)}
+        added = self._archive.add_single(self._asker.told(candidate), objective, measures, **{ELITES: candidate.number})
+        return {"cell": int(self._archive.index_of_single(measures)), "kept": bool(np.ravel(added["status"])[0] > 0)}
 
     def status(self) -> Mapping[str, float]:
         """Return the number of cells with an elite, and their share of all cells."""
@@ -190,7 +188,7 @@ class NoveltySearch(EliteSearch):
         super().__init__(logical, seed, options, "ProximityArchive", measure_dim=len(options.measures), **nearness)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Keep a scenario if its mean `distance` from the nearest kept executions, 1 for the first, is novel."""
+        """Keep a scenario that is novel, by its mean `distance` from the nearest kept ones (1 for the first one)."""
         measures = describe(trace, self._options.measures)
         first = self._archive.empty
         added = self._archive.add_single(self._asker.told(candidate), None, measures, **{ELITES: candidate.number})

@@ -49,7 +49,12 @@ KERNELS: tuple[Kernel, ...] = (POLYNOMIAL, RBF, GAUSSIAN_PROCESS)
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Several models of k objectives, fitted to the same n points."""
+    """Several models of k objectives, fitted to the same n points: SAMOTA's surrogates, which replace executions.
+
+    Points are `Encoding.features`, which have one scale by construction. All models are kernel machines, which
+    scikit-learn fits. Their predictions, a kernel times coefficients, are computed here for all models at once:
+    separate calls for a handful of points would spend most of their time checking the input.
+    """
 
     kernels: tuple[Kernel, ...]
     points: Floats  # training points, shape (n, features)
@@ -129,7 +134,9 @@ def _coefficients(kernel: Kernel, length: float, points: Floats, values: Floats)
 def survivors(values: Floats, count: int) -> Ints:
     """Return the indices of the `count` fittest of n individuals, the fittest first, shape (count,).
 
-    The objectives have the shape (n, k), and `count` is at most n.
+    The best of each objective come first, then the others by fronts, then by crowding distance. The objectives, shape
+    (n, k), are minimized, and `count` is at most n. Sources: Panichella et al., "Reformulating branch coverage as a
+    many-objective optimization problem", ICST 2015 (preference sorting); Deb et al., NSGA-II, 2002 (fronts, crowding).
     """
     ranks = preference_ranks(values)
     crowding = np.zeros(len(values))
@@ -174,7 +181,7 @@ class SAMOTAOptions:
     The preset `samota-seeded` has a variant whose searches begin with the best executions, failures included.
     """
 
-    population: Annotated[int, between(2, MAX_POPULATION)] = 6  # initial scenarios; predictions in a global generation
+    population: Annotated[int, between(2, MAX_POPULATION)] = 6  # initial scenarios; individuals in a global generation
     adaptive_samples: Annotated[int, between(1)] = 10  # points drawn for an initial scenario; the farthest is taken
     # first generation of a search: "random" individuals, or the "best" executed scenarios (in a local search the
     # executed scenarios of the cluster)
@@ -184,12 +191,12 @@ class SAMOTAOptions:
     # greatest number of executions that a global surrogate learns from; half of them are the best ones. It bounds the
     # cost of an execution, which grows with the cube of this number.
     database_limit: Annotated[int, between(10, 10_000)] = 300
-    local_share: Annotated[float, between(0.001, 1)] = 0.2  # of the executions, the best, to start a local search from
-    local_limit: Annotated[int, between(10, 10_000)] = 100  # most executions from which a local search starts
-    cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5  # least number of executions in one, in a local search
-    local_population: Annotated[int, between(2, MAX_POPULATION)] = 6  # predictions in a generation of a local search
-    local_generations: Annotated[int, between(1)] = 200  # generations of predictions in a local search
-    tournament: Annotated[int, between(1, MAX_POPULATION)] = 10  # individuals, of which the fittest is a parent; 1: any
+    local_share: Annotated[float, between(0.001, 1)] = 0.2  # share of executions, the best, that start a local search
+    local_limit: Annotated[int, between(10, 10_000)] = 100  # greatest number of these executions
+    cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5  # least number of them in a cluster of a local search
+    local_population: Annotated[int, between(2, MAX_POPULATION)] = 6  # individuals in a local generation
+    local_generations: Annotated[int, between(1)] = 200  # number of generations in a local search
+    tournament: Annotated[int, between(1, MAX_POPULATION)] = 10  # the fittest of so many becomes a parent; 1: any one
     crossover: Literal["one-point", "npcs"] = "one-point"  # of two vectors at one point, or exchange of whole NPCs
     # probability that two parents are crossed at a point, or that an NPC comes from the second parent
     crossover_probability: Annotated[float, between(0.001, 1)] = 0.75
@@ -292,8 +299,8 @@ class SAMOTA:
             population, predicted = np.concatenate([population, children]), np.concatenate([predicted, expected])
             fittest = survivors(predicted, self._options.population)
             population, predicted = population[fittest], predicted[fittest]
-        proposed = [*((vector, PROMISING) for vector in best.points)]
-        return _distinct([*proposed, *((vector, UNCERTAIN) for vector in doubtful.points)])
+        proposed = [(vector, PROMISING) for vector in best.points]
+        return _distinct(proposed + [(vector, UNCERTAIN) for vector in doubtful.points])
 
     def _training_rows(self, values: Floats, rng: np.random.Generator) -> Ints:
         """Choose the executions to learn from: all of them, or up to the limit the best ones and random other ones."""
@@ -352,7 +359,7 @@ class SAMOTA:
         low: Floats | float = 0.0,
         high: Floats | float = 1.0,
     ) -> Floats:
-        """Breed points, shape (count, n), of parents, the fittest first, shape (p, n).
+        """Breed points, shape (count, n), by selection, crossover and mutation of parents, the fittest first, (p, n).
 
         The bounds of the genes are numbers, or have the shape (n,).
         """

@@ -52,7 +52,7 @@ class UniformCandidate(Candidate):
     _logical: LogicalScenario
 
     def __init__(self, number: int, logical: LogicalScenario, seed: int) -> None:
-        vars(self).update(number=number, origin=UNIFORM, parent=None, seed=seed, _logical=logical)
+        vars(self).update(number=number, origin=UNIFORM, parent=None, seed=seed, _logical=logical)  # it is frozen
 
     @cached_property
     def scenario(self) -> Scenario:

@@ -1,4 +1,4 @@
-"""Shared part of all methods that search vectors: candidate numbers, random draws, and no scenario twice."""
+"""Shared part of all methods that search vectors: candidate numbers, draws, no scenario twice, and objectives."""
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -10,7 +10,7 @@ from behavexplor.fuzz.search import Candidate, draws
 from behavexplor.judge.specs import Verdict
 
 _ATTEMPTS = 1000
-_APART = 1e-3  # [m]
+_APART = 1e-3  # e of `objectives` [m]
 
 
 class Asker:
@@ -76,7 +76,7 @@ class Asker:
         for _ in range(_ATTEMPTS):
             known = len(self._asked)
             self._asked.add(scenario)
-            if len(self._asked) > known:
+            if len(self._asked) > known:  # it is new; to ask for it by `in` would hash it twice
                 break
             blocks = vector.reshape(self.encoding.n_blocks, -1).copy()
             blocks[rng.integers(len(blocks))] = rng.random(self.encoding.n_genes)

@@ -42,7 +42,7 @@ _VEHICLES: Final = {  # the other vehicle of a collision, by the conflict, if it
     "oncoming": ("oncoming {}", "oncoming {} that had turned"),
     "crossing-from-right": ("{} crossing from the right", "{} that had turned in from the right"),
     "crossing-from-left": ("{} crossing from the left", "{} that had turned in from the left"),
-    "behind": ("{} behind", ""),  # from here on, a vehicle a second before a crash in highway-env
+    "behind": ("{} behind", ""),  # from here on, where it was a second before a crash in highway-env
     "ahead-on-the-right": ("{} ahead in a lane to the right", ""),
     "ahead-on-the-left": ("{} ahead in a lane to the left", ""),
     "behind-on-the-right": ("{} behind in a lane to the right", ""),
@@ -164,8 +164,8 @@ def violation_class(trace: Trace, violated: Sequence[str]) -> ViolationClass | N
 def event_class(trace: Trace, event: ViolationEvent, end: str | None = None) -> ViolationClass:
     """Return the class of a violation event, or the class that a violation would have had at a near miss.
 
-    The decision log of the trace is not used. A violation of R3 would have had the kind of end `end`; None for that of
-    the trace.
+    The decision log of the trace is not used. `end` is the kind of end that a violation of R3 would have had; None for
+    that of the trace.
     """
     if event.spec == R1:
         return _collision(trace, event)

@@ -77,7 +77,7 @@ class Nearness(NamedTuple):
 
     @classmethod
     def of(cls, trace: Trace, verdict: Verdict) -> Self:
-        """Return that of an execution, as another process has computed it if one has."""
+        """Return the nearness of an execution, or what another process has computed of it before."""
         known: Self | None = vars(trace).get(_KNOWN)
         if known is not None:
             return known

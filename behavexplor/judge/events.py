@@ -48,7 +48,10 @@ def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | N
 
 
 def first_line_touch(trace: Trace) -> ViolationEvent | None:
-    """Return the first contact of the ego's box with an illegal line, or None."""
+    """Return the first contact of the ego's box with an illegal line, or None.
+
+    Bounds leave few pairs of frames and lines: those of blocks of frames, then the gaps from infinite lines.
+    """
     lines, position, heading = trace.illegal_lines, trace.position[:, 0], trace.heading[:, 0]
     if not len(lines):
         return None

@@ -39,7 +39,7 @@ def is_at_fault(fault: str | None) -> bool:
 
 
 def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
-    """Return the ego's own among the violations of a trace; `violated` are names of specs as in `Verdict`.
+    """Return those of the specs in `violated`, named as in `Verdict`, for which the ego itself is to blame.
 
     A collision that another vehicle caused is left out. It also ended the drive, so a missed destination is left out
     with it.
@@ -55,7 +55,7 @@ def collision_fault(trace: Trace, violated: Sequence[str]) -> Fault | None:
 
 
 def contact_fault(trace: Trace) -> Fault | None:
-    """Return the verdict on the collision at the end of a trace.
+    """Return the verdict on the collision at the end of a trace; None if the ego touches no vehicle in the last frame.
 
     The verdicts are checked in this order:
 
@@ -67,12 +67,6 @@ def contact_fault(trace: Trace) -> Fault | None:
     - `other`: the trace alone cannot tell.
 
     `behavexplor.triage.blame` drives the scenario again to find out about the last two.
-
-    Args:
-        trace: the trace of an episode.
-
-    Returns:
-        The verdict, or None if the ego touches no vehicle in the last frame.
     """
     npc = touched_npc(trace)
     if npc is None:

@@ -58,7 +58,7 @@ def has_entered_ring(trace: Trace, frame: int, seconds: float) -> bool:
 def maneuver(trace: Trace, frame: int, after: float) -> str:
     """Return what the ego did in the last `BEFORE` up to a frame in a highway-env environment.
 
-    A lane change that has ended is said for the time `after` [s].
+    An earlier lane change, in the last `after` [s], is named as one that has ended.
     """
     side = lane_change(trace, frame, BEFORE)
     if side:

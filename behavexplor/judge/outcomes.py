@@ -10,9 +10,10 @@ from behavexplor.data.durable import append_durably, check_file
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.errors import InputError
 from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault
-from behavexplor.judge.specs import ERROR, SPECS, judge
+from behavexplor.judge.specs import ERROR, SPECS, Collision, Destination, Lines, judge
 
-_SIGNALS: Final = {ARRIVED: ARRIVED, SPECS[1].name: OFF_ROAD, SPECS[2].name: ARRIVED}  # that an outcome needs
+# the signal that an outcome needs in a highway-env environment; `CRASHED` for any other outcome
+_SIGNALS: Final = {ARRIVED: ARRIVED, Lines().name: OFF_ROAD, Destination().name: ARRIVED}
 _FIRST_CODE: Final = ord("A")
 
 
@@ -35,7 +36,7 @@ def outcomes_of(trace: Trace) -> Outcomes:
     arrived = trace.signals[ARRIVED].any() if ARRIVED in trace.signals else trace.end == ARRIVED
     arrived = arrived and trace.end != "collision"  # in a roundabout, an ego may get beyond the entry and crash there
     fault = contact_fault(trace)
-    faults = [f"{SPECS[0].name}: {fault}"] if fault else []
+    faults = [f"{Collision().name}: {fault}"] if fault else []
     found = (*([ARRIVED] if arrived else []), *verdict.violated, *faults)
     names = (ARRIVED, *(spec.name for spec in SPECS))
     asked = tuple(name for name in names if not trace.signals or _SIGNALS.get(name, CRASHED) in trace.signals)
@@ -55,7 +56,7 @@ def packed(outcomes: Sequence[Outcomes]) -> dict[str, Any]:
 
 
 def unpacked(values: Mapping[str, Any]) -> list[Outcomes]:
-    """Return the outcomes that `packed` made values of."""
+    """Return the outcomes from the values that `packed` returned."""
     kinds = [outcomes_from(*kind) for kind in values["kinds"]]
     return [kinds[ord(code) - _FIRST_CODE] for code in values["codes"]]
 
@@ -73,7 +74,7 @@ class OutcomeBlock(NamedTuple):
 
 
 class OutcomeFile:
-    """The file of an evaluation, which goes on from it after an interruption at any moment.
+    """The file of an evaluation's outcomes, from which it goes on after an interruption at any moment.
 
     It is created if it does not exist. The first line says what is evaluated, as JSON values, and each other one is a
     block. A line that was cut short is removed.

@@ -23,11 +23,11 @@ from behavexplor.judge.specs import ERROR, SPECS
 
 ALPHA: Final = 0.05  # probability of being wrong
 _EDGE: Final = 1e-12  # least distance of a rate from 0 and 1
-_BETS: Final = 16
-NON_INFERIOR, INFERIOR = "non-inferior", "inferior"
+_BETS: Final = 16  # of each sign in a `PairedSequence`
+NON_INFERIOR, INFERIOR = "non-inferior", "inferior"  # verdicts of a `PairedSequence`
 AT_FAULT, FAILED = "at-fault", "failed"  # outcomes of a goal, beside those of an evaluation
 OUTCOMES: Final = (ARRIVED, *(spec.name for spec in SPECS), ERROR, AT_FAULT, FAILED)
-BELOW, ABOVE, KNOWN = "below", "above", "known"
+BELOW, ABOVE, KNOWN = "below", "above", "known"  # verdicts of a `Decision`
 
 
 def check_outcome(name: str) -> None:
@@ -97,7 +97,7 @@ class Goal:
     # a name of `behavexplor.evaluation.Evaluation.counts`; `AT_FAULT` for failures by the driver's own fault, or
     # `FAILED` for all failures
     outcome: str = "collision"
-    below: float | None = None  # whether the rate is below this one is to be known; None for `until`
+    below: float | None = None  # a rate: is that of the outcome below it? None for `until`
     until: float | None = None  # greatest half of the interval's width, as a share of the rate
 
     def __post_init__(self) -> None:
@@ -120,8 +120,8 @@ class Decision:
     """What an evaluation has found out of the rate of an outcome. It is valid whenever the evaluation ended."""
 
     goal: Goal
-    n: int
-    count: int  # number of those with the outcome, and of those in which the driver's program failed
+    n: int  # number of scenarios
+    count: int  # number of those with the outcome, or in which the driver's program failed
     low: float  # lower end of the 95 % interval of the rate
     high: float  # upper end of it
     errors: int = 0  # number of scenarios in which the driver's program failed, unless the outcome counts them anyway
@@ -137,7 +137,9 @@ class Decision:
         if self.goal.below is None:
             wanted = self.goal.until or 0.0
             return KNOWN if self.count and (self.high - self.low) / 2 <= wanted * self.count / self.n else ""
-        return BELOW if self.high < self.goal.below else ABOVE if self.low > self.goal.below else ""
+        if self.high < self.goal.below:
+            return BELOW
+        return ABOVE if self.low > self.goal.below else ""
 
     @property
     def words(self) -> str:

@@ -14,16 +14,10 @@ def speed(trace: Trace) -> Floats:
 
 
 def acceleration(trace: Trace) -> Floats:
-    """Return the ego's acceleration along its heading, negative where it brakes.
+    """Return the ego's acceleration along its heading, negative where it brakes, shape (T,) [m/s2].
 
     The acceleration is the change of the forward speed from each frame to the next. The last frame repeats the value
-    before it.
-
-    Args:
-        trace: a trace of T frames.
-
-    Returns:
-        Accelerations, shape (T,) [m/s2]; 0 for a trace of a single frame.
+    before it. In a trace of a single frame, it is 0.
     """
     heading = trace.heading[:, 0]
     forward = trace.velocity[:, 0, 0] * np.cos(heading) + trace.velocity[:, 0, 1] * np.sin(heading)
@@ -37,9 +31,6 @@ def gap_ahead(trace: Trace) -> Floats:
     The corridor is the strip that the ego covers while it keeps its lateral offset from its route. It is as wide as the
     ego. A vehicle is in the corridor if its box reaches into it. It is ahead if its center is farther along the route
     than the ego's.
-
-    Args:
-        trace: a trace of T frames.
 
     Returns:
         Gaps, shape (T,) [m]: 0 where both vehicles overlap along the route, at most `NOTHING_NEAR`, and `NOTHING_NEAR`

@@ -102,7 +102,10 @@ def heading_before(trace: Trace, frame: int, vehicle: int) -> float:
 
 
 def touched_side(trace: Trace, frame: int, npc: int) -> str:
-    """Return the touched side of the ego: front, rear, left or right."""
+    """Return the touched side of the ego: front, rear, left or right.
+
+    It is the side on which the points of both outlines lie that are deepest inside both boxes.
+    """
     boxes = box_corners(trace.position[frame, [0, npc]], trace.heading[frame, [0, npc]], trace.size[[0, npc]])
     points = np.concatenate([_outline(boxes[0]), _outline(boxes[1])])
     depth = np.maximum(_beyond(points, trace, frame, 0), _beyond(points, trace, frame, npc))

@@ -101,8 +101,8 @@ class Destination:
     """R3: the ego ends at its destination; in a highway-env environment that has one, it arrives there.
 
     The degree is max(10 - D, 0) (paper section 3.2.2), where D is the final distance of the ego's center from the
-    destination [m], see `behavexplor.judge.specs.final_distance`. So the farther from the destination the episode
-    ends, the lower is the degree.
+    destination [m], see `final_distance`. So the farther from the destination the episode ends, the lower is the
+    degree.
 
     Attributes:
         name: name in records and reports.
@@ -127,12 +127,7 @@ class Destination:
         return final_distance(trace) > self.threshold
 
 
-def default_specs() -> tuple[Spec, ...]:
-    """Return the paper's three specs, R1, R2 and R3."""
-    return Collision(), Lines(), Destination()
-
-
-SPECS: tuple[Spec, ...] = default_specs()
+SPECS: tuple[Spec, ...] = (Collision(), Lines(), Destination())  # the paper's R1, R2 and R3
 
 
 @dataclass(frozen=True)
@@ -218,7 +213,7 @@ def _line_distance(trace: Trace) -> float:
 def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
     """Return the least of n distances [m], given cheap bounds. A value of at most a trace's resolution counts as 0.
 
-    `lower` bounds each distance, shape (n,), `upper` the least; `exact` returns the exact ones of indices.
+    `lower` bounds each distance, shape (n,), and `upper` the least one. `exact` computes those of given indices.
     """
     open_ = np.flatnonzero(lower - _TOLERANCE <= upper)
     order = open_[np.argsort(lower[open_], kind="stable")]
@@ -252,14 +247,15 @@ def final_distance(trace: Trace) -> float:
 
 @lru_cache(maxsize=2)  # several specs ask for the poses of the same trace
 def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
-    """Return the poses of all vehicles in an episode up to the moment of arrival.
+    """Return the poses of all vehicles up to the moment of arrival: positions (T, N, 2) [m], headings (T, N) [rad].
+
+    An episode ends in the first frame in which the ego's center is within `ARRIVAL_DISTANCE` of its destination. This
+    frame lies behind the moment of arrival, by up to 0.56 m at 20 Hz and the speed limit. How far behind is an accident
+    of the sampling, and greater than the differences between most episodes. So it must not count.
 
     The last frame of an ego that arrived is moved back to the moment at which its center came within
     `ARRIVAL_DISTANCE` of the destination, at the earliest to the frame before. All vehicles are interpolated linearly
     between these two frames. The poses of an episode with any other end are those of the trace.
-
-    Returns:
-        Positions, shape (T, N, 2) [m], and headings, shape (T, N) [rad].
     """
     share = _arrival_share(trace) if trace.end == ARRIVED and len(trace.time) > 1 else 1.0
     if share == 1.0:

@@ -80,7 +80,7 @@ def test_a_mutant_nearer_to_a_violation_is_kept_and_rewarded():
     assert not learned["novel"]
     assert learned["energy"] == pytest.approx(1 + 0.5 * change)
     assert learned["parent_energy"] == pytest.approx(1 + 0.5 * (-0.1 * 1 / 1) + 0.5 * change - 0.05)
-    assert search._corpus[candidate.number].parent == 0
+    assert candidate.parent == 0
     energies = learned["energy"], learned["parent_energy"]
     assert search.status() == {
         "corpus": 2,

@@ -10,7 +10,7 @@ from behavexplor.fuzz.behavexplor import Corpus, Testcase
 def corpus_of(*energies):
     corpus = Corpus()
     for i, energy in enumerate(energies):
-        corpus.add(Testcase(10 * i, ScriptedScenario("s", ()), None, 1.0, i), energy)
+        corpus.add(Testcase(10 * i, ScriptedScenario("s", ()), 1.0, i), energy)
     return corpus
 
 

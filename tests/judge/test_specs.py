@@ -17,7 +17,6 @@ from behavexplor.judge.specs import (
     Lines,
     Verdict,
     _least,
-    default_specs,
     final_distance,
     judge,
     poses_until_arrival,
@@ -177,9 +176,8 @@ def test_destination_threshold_is_an_option():
     assert Destination(reach=20.0).degree(trace) == 15
 
 
-def test_default_specs_are_the_papers_in_order():
+def test_specs_are_the_papers_in_order():
     assert [spec.name for spec in SPECS] == ["collision", "lines", "destination"]
-    assert default_specs() == SPECS
 
 
 def test_verdict_keeps_all_violations_and_adds_up_degrees():
