@@ -29,7 +29,7 @@ from behavexplor.report.marks import type_color
 from behavexplor.report.reading import ReportedRun
 from behavexplor.report.rendering import rendered
 from behavexplor.report.road_shapes import known_road, road_values
-from behavexplor.triage.findings import trace_path
+from behavexplor.triage.findings import minimized_trace_path
 
 PAGE: Final = "report.html"
 MOST_REPLAYS: Final = 2000  # of each run
@@ -227,7 +227,7 @@ def _minimal_replays(run: ReportedRun, gallery: Sequence[Card]) -> dict[str, Any
     """Return the replays of minimized failures by their names."""
     replays = {}
     for number in (card.minimal for card in gallery if card.minimal is not None):
-        minimal, path = run.minimized[number], trace_path(run.folder, number)
+        minimal, path = run.minimized[number], minimized_trace_path(run.folder, number)
         try:
             trace = Trace.from_bytes(read_file(path))
             if not _fits(trace):
