@@ -72,8 +72,8 @@ def write_junit(
 ) -> None:
     """Write test cases as JUnit XML, which CI systems show, if there is a file for them.
 
-    `suite` is also the `classname` of each case. They took `seconds` together. Scenarios are driven at the same time,
-    so the time of one of several is not known.
+    `suite` is also the `classname` of each case. All cases together took `seconds`. Scenarios are driven at the same
+    time, so the time of one of several is not known.
 
     Raises:
         InputError: if it cannot be written.

@@ -158,7 +158,7 @@ def described(kind: type) -> dict[str, str]:
 def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
     """Check that flags beside --resume do not change the configuration of what is resumed.
 
-    `given` has their values by the keys of the stored configuration, and `what` names what is resumed.
+    `given` has their values by the keys of the stored configuration, and `what` names what is resumed, for the message.
 
     Raises:
         InputError: if a value differs.
