@@ -130,7 +130,8 @@ def _driven(
         _drive(config, folder / pair_campaigns.FIRST, workers, quiet=quiet, resume=goes_on)
         other = pair_campaigns.second_config(config, second, folder / pair_campaigns.FIRST)
         _drive(other, folder / pair_campaigns.SECOND, workers, quiet=quiet, resume=goes_on)
-        pairs, goes_on = pair_campaigns.compared(folder), True
+        goes_on = True
+        pairs = pair_campaigns.compared(folder)
         verdict = None if margin is None else MarginDecision.of(pairs, margin)
         if verdict is not None and verdict.found:
             break

@@ -129,7 +129,8 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
     """Return the summary of a campaign: its findings, its run folder, and commands to continue with."""
     head = f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
     lines = [wrapped(f"{head}{share(progress.novel, progress)} of them with new behavior")]
-    own = explained(method, own_rate(method, progress.executions, progress.failed, budget, UniformRate.stored(store)))
+    uniform = UniformRate.stored(store)
+    own = explained(method, own_rate(method, progress.executions, progress.failed, budget, uniform))
     if not progress.failed:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
         lines += [

@@ -106,7 +106,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     output, goal = check_outputs(json_file, junit), _goal(outcome or Goal.outcome, below, until)
     if junit is not None and below is None:
         raise InputError("--junit writes whether a threshold was met: give one with --below")
-    count = scenarios if scenarios is not None else DECIDING if goal else SCENARIOS
+    default = DECIDING if goal else SCENARIOS
+    count = default if scenarios is None else scenarios
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
     ads = given.get("ads", CampaignConfig.ads)

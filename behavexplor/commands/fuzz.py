@@ -273,6 +273,7 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, output
 
 
 def _run(campaign: Campaign, store: Store, display: Display, method: str, text: TextIO) -> int:
+    """Run a campaign, let failures be confirmed, print the summary to `text`, and return the exit code."""
     gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     code, failure = OK, None
     with display:

@@ -1,4 +1,4 @@
-"""Flags that several commands share, and flags that are made of the fields of a configuration.
+"""Flags that several commands share, or that are fields of a configuration; and the note that a driver is loading.
 
 The help text of a flag is in the docstring of its command's function, or of the dataclass that it is a field of: a
 group of flags (such as `Running` here), or the configuration (`CampaignConfig`, `Target`).

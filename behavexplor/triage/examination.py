@@ -64,7 +64,7 @@ class FailureEvaluator(Evaluator):
 def start_evaluator(
     kind: type[FailureEvaluator], config: CampaignConfig, patience: float, workers: int, driver: ADS | None
 ) -> Executor:
-    """Start the executor of an evaluator of failures. Each may take `patience` times the time limit of an execution."""
+    """Start the executor of an evaluator. A failure may take `patience` times the time limit of an execution."""
     target = replace(config.target, time_limit=patience * config.time_limit)
     return start_executor(target, workers, recipe=recipe_for(kind, target, specs=config.specs), driver=driver)
 
