@@ -168,7 +168,7 @@ def _wrong_value(box: str) -> str:
 
 
 def _registry() -> ConstructorRegistry:
-    """Return how values are read that tyro would describe by Python's types, or together with None."""
+    """Return rules for reading numbers and choices; tyro's own would show users the types of Python, and None."""
     made = ConstructorRegistry()
     made.primitive_rule(_number)
     made.primitive_rule(_choice)

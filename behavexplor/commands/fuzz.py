@@ -86,7 +86,7 @@ class Output:
 
     @cached_property
     def text(self) -> TextIO:
-        """Where everything else is printed.
+        """The stream for everything else that is printed; see `check_outputs`.
 
         Raises:
             InputError: if a file cannot be written.

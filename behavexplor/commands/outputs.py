@@ -21,7 +21,7 @@ JUnitFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_h
 def check_outputs(*paths: Path | None) -> TextIO:
     """Check that files can be written, and return the stream for everything else that is printed.
 
-    That is standard output; but standard error if one of the files is standard output, which then has nothing else.
+    That is standard output; or standard error, if a file is `STDOUT`, so that standard output has that file alone.
 
     Raises:
         InputError: if a file cannot be written, or two of them are standard output.

@@ -180,7 +180,7 @@ def _looked_at(
 ) -> tuple[dict[int, Trace], dict[int, Record]]:
     """Return the traces of the wanted executions, and the records of the replayed ones, by their numbers.
 
-    The first wanted come first until `MOST_PLACES` or `MOST_STATES` is reached; there is always room for one.
+    The wanted are taken in their order until `MOST_PLACES` or `MOST_STATES` is exceeded, but always the first of them.
     """
     traces: dict[int, Trace] = {}
     records: dict[int, Record] = {}

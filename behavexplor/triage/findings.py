@@ -171,7 +171,7 @@ class Triage:
 
 
 def read_made(kind: type[T], path: Path, command: str) -> T:
-    """Return what a command has written into a run folder, as JSON with a dataclass's fields and the format.
+    """Read a dataclass that a command has written into a run folder as JSON; `command` is for messages.
 
     Raises:
         InputError: if the file cannot be read, is damaged, or has another format version.
