@@ -28,8 +28,9 @@ from behavexplor.data.road_shape import BROKEN, DASH, NO_LINE, PERIOD, SOLID, Pl
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane
 from behavexplor.exchange.axes import mirrored_lane
 
+Links = dict[tuple[int, int], tuple[tuple[int, int], ...]]  # see `RoadLayout.links`
+
 MAX_ERROR: Final = 0.001  # greatest distance of a piece from the sine [m]
-Links = dict[tuple[int, int], tuple[tuple[int, int], ...]]
 NOWHERE: Final = -1  # junction of a road outside junctions
 _SAME: Final = 1e-6  # greatest deviation of parallel lanes from parallels [m] [rad]
 _MEETING: Final = 0.01  # greatest gap between lanes that are linked [m]
@@ -37,6 +38,7 @@ _MEETING_ANGLE: Final = 0.02  # greatest bend between them [rad]
 _CUT: Final = 10.0  # length of the road that is cut off from a connecting road [m]
 _SHORTER: Final = 1e-9  # how much the length of a cubic is rounded down [m]
 _SHARES: Final = np.linspace(0.0, 1.0, 5)  # places at which two lanes are compared, as shares of their lengths
+
 REVISION: Final = "7"  # minor revision of OpenDRIVE 1
 # the place on earth, for which CARLA asks: these roads have none, so their origin is at latitude 0 and longitude 0
 _PLACE: Final = "+proj=tmerc +lat_0=0 +lon_0=0 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"

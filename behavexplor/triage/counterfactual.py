@@ -128,7 +128,7 @@ class Cause:
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:
-    """Return the cause of the first violated spec of R1, R2, R3; None without one, or for another ADS.
+    """Return why the rule planner violated a spec, the first of R1, R2 and R3; None if it did not, or did not drive.
 
     The simulation must have the ADS and the environment of the recorded execution, and the trace its decision log.
     """
