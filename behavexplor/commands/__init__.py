@@ -2,8 +2,7 @@
 
 Exit codes: 0 success (finding violations is a success), 1 a check failed, 2 wrong input or an error in the user's code,
 3 an execution could not be carried out, the run folder could not be written, or the driver failed in every execution,
-4 a rate could not be decided,
-70 a bug in this package, 130 interrupted.
+4 a rate could not be decided, 70 a bug in this package, 130 interrupted.
 """
 
 import errno
@@ -46,13 +45,13 @@ NO_TEMPORARY_FOLDER: Final = (
     "There is no folder for temporary files: set the environment variable TMPDIR to a folder that can be written"
 )
 _MATPLOTLIB: Final = "MPLCONFIGDIR"  # names the folder in which matplotlib keeps its cache
-_OUTPUT_FAILS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of errors that name no file
+_OUTPUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # if the error names no file, standard output has failed
 
-_RENAMED = {"--summary": "--json"}
+_RENAMED = {"--summary": "--json"}  # old and new names of flags
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command, such as `behavexplor fuzz`, and return the exit code."""
+    """Run a command, such as `behavexplor fuzz`, by default that of this process, and return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given == ["--version"]:
         say(f"behavexplor {version('behavexplor')}")
@@ -98,11 +97,11 @@ def _show_warning(
 
 
 def _run(given: Sequence[str]) -> int:
-    """Run the command that the arguments name, and return the exit code."""
+    """Run the command that the arguments name, report its errors, and return the exit code."""
     if "" not in sys.path and not sys.flags.safe_path:  # the user's modules are in the working directory
         sys.path.append("")  # last, so that no file in a foreign folder takes the place of a library
     try:
-        code = _begun(given)
+        code = _run_command(given)
     except KeyboardInterrupt:
         say(f"{program()}: Interrupted; what was finished is kept", file=sys.stderr)
         return INTERRUPTED
@@ -114,7 +113,7 @@ def _run(given: Sequence[str]) -> int:
     return code
 
 
-def _begun(given: Sequence[str]) -> int:
+def _run_command(given: Sequence[str]) -> int:
     """Run the command that the arguments name, or show all commands."""
     name = given[0] if given else ""
     if name in ("", "-h", "--help"):
@@ -153,7 +152,7 @@ def _failed(error: Exception) -> int:
     if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
         say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return BAD_INPUT
-    if isinstance(error, OSError) and error.errno in _OUTPUT_FAILS:
+    if isinstance(error, OSError) and error.errno in _OUTPUT_ERRORS:
         _drop_output()
         say(f"{program()}: The output cannot be written: {error.strerror}", file=sys.stderr)
         return EXECUTION_FAILED

@@ -1,6 +1,6 @@
-"""The commands with their help, and their arguments, both by tyro.
+"""The commands with their help texts, and the reading of their arguments, both by tyro.
 
-A wrong value is said in a sentence, and a flag is given once.
+A wrong value is reported in a sentence, and most flags may be given only once.
 """
 
 import re
@@ -119,7 +119,7 @@ def wrapped_head(command: Callable[..., Any]) -> str:
 
 SEVERAL_TIMES: Final = frozenset({"--spec", "--trust"})  # flags that may be given so
 _NUMBERS: Final[Mapping[Any, str]] = {int: "a whole number", float: "a number, such as 0.05"}
-_VALUE: Final = re.compile("Error parsing ([^:]+): (.*?) [\N{BOX DRAWINGS LIGHT HORIZONTAL}-]{5,}")  # to the next rule
+_VALUE: Final = re.compile("Error parsing ([^:]+): (.*?) [\N{BOX DRAWINGS LIGHT HORIZONTAL}-]{5,}")  # up to a line
 _CHOICE: Final = re.compile(r"invalid choice '(.*)' for argument '(.*)'. Expected one of \((.*?)\)")
 
 
@@ -135,14 +135,14 @@ def bound(command: Callable[..., int], given: Sequence[str], **settings: Any) ->
     def with_values(*values: Any, **named: Any) -> Callable[[], int]:
         return partial(command, *values, **named)
 
-    said = StringIO()
+    messages = StringIO()
     try:
-        with redirect_stderr(said):
+        with redirect_stderr(messages):
             run: Callable[[], int] = cli(with_values, args=given, registry=_registry(), **settings)
     except SystemExit:
-        if wrong := _wrong_value(said.getvalue()):
+        if wrong := _wrong_value(messages.getvalue()):
             raise InputError(wrong) from None
-        sys.stderr.write(said.getvalue())
+        sys.stderr.write(messages.getvalue())
         raise
     return run
 
@@ -168,7 +168,7 @@ def _wrong_value(box: str) -> str:
 
 
 def _registry() -> ConstructorRegistry:
-    """Return how values are read that tyro would describe by Python's types, or together with None."""
+    """Return rules for reading numbers and choices; tyro's own would show users the types of Python, and None."""
     made = ConstructorRegistry()
     made.primitive_rule(_number)
     made.primitive_rule(_choice)

@@ -101,7 +101,7 @@ def _check_consent(chosen: Experiment, trust: tuple[str, ...], file: str, *, unc
 
 
 def _checked_jobs(jobs: int | None, cluster: str) -> int:
-    """Return the number of jobs; 0 for one node for each core of a cluster."""
+    """Return the number of jobs; 0 for as many nodes as a cluster has cores."""
     if cluster:
         parse_cluster(cluster)
     if jobs is None:

@@ -49,7 +49,8 @@ def check(
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    seconds, failed = time.monotonic() - begun, sum(not outcome.passed for outcome in outcomes)
+    seconds = time.monotonic() - begun
+    failed = sum(not outcome.passed for outcome in outcomes)
     if not running.quiet:
         say(_listed(outcomes), end="\n\n", file=output)
     say(result(failed, len(outcomes)), file=output)

@@ -35,7 +35,6 @@ TABLE, SEARCH = "comparison.json", "search"
 _REPLAYS = 100
 _CODES: Final = {NON_INFERIOR: OK, INFERIOR: CHECK_FAILED, "": UNDECIDED}
 
-
 _SETTINGS = settings(
     CampaignConfig,
     "env activation env_config seed method budget specs confirm traffic stochastic trust unconfined",
@@ -107,7 +106,8 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     if verdict is not None:
         say(wrapped(verdict.words), file=output)
         failure = "" if verdict.found == NON_INFERIOR else verdict.words
-        tested, properties = [CaseResult(f"non-inferior by {margin:g}", failure)], {"A": first, "B": second}
+        tested = [CaseResult(f"non-inferior by {margin:g}", failure)]
+        properties = {"A": first, "B": second}
         write_junit(junit, f"compare {config.env}", tested, properties, time.monotonic() - begun)
     return _CODES[verdict.found] if verdict else OK
 
@@ -130,7 +130,8 @@ def _driven(
         _drive(config, folder / pair_campaigns.FIRST, workers, quiet=quiet, resume=goes_on)
         other = pair_campaigns.second_config(config, second, folder / pair_campaigns.FIRST)
         _drive(other, folder / pair_campaigns.SECOND, workers, quiet=quiet, resume=goes_on)
-        pairs, goes_on = pair_campaigns.compared(folder), True
+        goes_on = True
+        pairs = pair_campaigns.compared(folder)
         verdict = None if margin is None else MarginDecision.of(pairs, margin)
         if verdict is not None and verdict.found:
             break
@@ -176,7 +177,7 @@ def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, worker
 
 
 def table(pairs: Sequence[Pairs], env: str, first: str, second: str) -> str:
-    """Return the paired statistics as a table."""
+    """Return the paired statistics as two tables, counts and changes, with numbers of executions to look at."""
     change = COLUMNS.index(CHANGE)
     counts = [name for name in COLUMNS if name != CHANGE]
     made, changes = grid(*counts, numbers=counts[1:]), grid("", CHANGE, numbers=[CHANGE])

@@ -1,4 +1,4 @@
-"""Output of a campaign: a live screen on a terminal or plain lines elsewhere, and the summary."""
+"""Progress of a campaign or of another long task, on a terminal or as plain lines; and the summary of a campaign."""
 
 import shlex
 import time
@@ -38,7 +38,7 @@ _FIGURES = {  # figures of search methods, in words
 
 
 class Display:
-    """Shows the progress of a campaign: a live screen on a terminal, or else a line every few seconds."""
+    """Shows the progress of a campaign, unless `quiet`: a live screen on a terminal, else a line every few seconds."""
 
     def __init__(self, stream: TextIO, budget: Budget, *, quiet: bool) -> None:
         self._stream, self._console = stream, PlainConsole(file=stream, quiet=quiet)
@@ -129,7 +129,8 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
     """Return the summary of a campaign: its findings, its run folder, and commands to continue with."""
     head = f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
     lines = [wrapped(f"{head}{share(progress.novel, progress)} of them with new behavior")]
-    own = explained(method, own_rate(method, progress.executions, progress.failed, budget, UniformRate.stored(store)))
+    uniform = UniformRate.stored(store)
+    own = explained(method, own_rate(method, progress.executions, progress.failed, budget, uniform))
     if not progress.failed:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
         lines += [
@@ -205,14 +206,14 @@ def _ago(progress: Progress, mark: str) -> str:
 
 
 class Meter:
-    """Shows how many items of a task are done: a bar on a terminal, or else a line every few seconds."""
+    """Shows how many `things` of a task are done, unless `quiet`: by a bar on a terminal, else by lines."""
 
     def __init__(self, stream: TextIO, total: int, things: str, *, quiet: bool) -> None:
         self._console = PlainConsole(file=stream, quiet=quiet)
         self._total, self._things = total, things
         self._begin = self._last_line = time.monotonic()
-        texts = [TextColumn(f"{{task.{name}}}", markup=False) for name in ("fields[things]", "description")]
-        columns = (BarColumn(), MofNCompleteColumn(), texts[0], TimeRemainingColumn(), texts[1])
+        names, text = (TextColumn(field, markup=False) for field in ("{task.fields[things]}", "{task.description}"))
+        columns = (BarColumn(), MofNCompleteColumn(), names, TimeRemainingColumn(), text)
         shows_bar = self._console.is_terminal and not quiet
         self._bar = ProgressBar(*columns, console=self._console) if shows_bar else None
         self._task = self._bar.add_task("", total=total, things=printable(things)) if self._bar else None
@@ -240,7 +241,7 @@ class Meter:
             self._bar.update(self._task, completed=done, description=printable(text))
         elif time.monotonic() - self._last_line >= LINE_SECONDS:
             self._last_line = time.monotonic()
-            left = max(self._total / done - 1, 0.0) if done else 0.0  # a training ends a little later
+            left = max(self._total / done - 1, 0.0) if done else 0.0  # a training may do more than its total
             about = f", about {clock(left * (self._last_line - self._begin))} left" if done else ""
             line = f"{done} of {self._total} {self._things}{about}  {text}"
             self._console.print(line.rstrip(), soft_wrap=True)

@@ -38,6 +38,7 @@ from behavexplor.execution.start import check_ads, logical_of_target
 from behavexplor.judge.rates import ABOVE, BELOW, FAILED, KNOWN, Goal, check_outcome
 from behavexplor.judge.specs import ERROR
 
+# default numbers of scenarios, without and with a rate to decide on, and the greatest number
 SCENARIOS, DECIDING, MOST_SCENARIOS = 1000, 1_000_000, 10_000_000
 _CODES: Final = MappingProxyType({BELOW: OK, KNOWN: OK, ABOVE: CHECK_FAILED, "": UNDECIDED})
 DRAWN: Final = "drawn actions"  # heading of a column
@@ -47,7 +48,6 @@ _CONTROLS: Final = MappingProxyType(
     {"careful": "careful", **{f"always {name}": f"constant:{name}" for name in ("SLOWER", "IDLE", "FASTER")}}
 )
 
-
 _SETTINGS = settings(
     CampaignConfig,
     "env ads activation env_config seed traffic stochastic trust unconfined",
@@ -55,6 +55,17 @@ _SETTINGS = settings(
     env=(f"the policy's own, or {CampaignConfig.env}", ""),
     stochastic=(False, " By default, the rates with drawn actions are shown, too."),
 )
+
+
+class _Run(NamedTuple):
+    """What all evaluations of one command have in common."""
+
+    scenarios: int  # number of scenarios; the greatest number if there is a goal
+    seed: int
+    workers: int
+    quiet: bool
+    goal: Goal | None  # what is to be decided; None for the rates alone
+    folder: RateFolder | None  # where outcomes and failures are stored; None if they are not
 
 
 def evaluate(  # noqa: PLR0913 - one argument for each flag
@@ -95,7 +106,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     output, goal = check_outputs(json_file, junit), _goal(outcome or Goal.outcome, below, until)
     if junit is not None and below is None:
         raise InputError("--junit writes whether a threshold was met: give one with --below")
-    count = scenarios if scenarios is not None else DECIDING if goal else SCENARIOS
+    default = DECIDING if goal else SCENARIOS
+    count = default if scenarios is None else scenarios
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
     ads = given.get("ads", CampaignConfig.ads)
@@ -144,7 +156,7 @@ def _say_rates(
             say(f"Failures: {program()} report {shlex.quote(str(folder.run))}", file=output)
 
 
-def _ranked(policies: Path, out: Path | None, given: dict[str, Any], run: "_Run", output: TextIO) -> int:
+def _ranked(policies: Path, out: Path | None, given: dict[str, Any], run: _Run, output: TextIO) -> int:
     """Evaluate several drivers, and write the page that ranks them."""
     if out is None or "ads" in given or run.goal is not None:
         raise InputError(f"{policies} names the drivers: give --out FOLDER, and no --ads, --below or --until")
@@ -163,7 +175,7 @@ def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None
     return Goal(outcome, below, until)
 
 
-def _evaluations(config: CampaignConfig, run: "_Run", *, controls: bool) -> dict[str, Evaluation]:
+def _evaluations(config: CampaignConfig, run: _Run, *, controls: bool) -> dict[str, Evaluation]:
     """Return the evaluation of the driver and of what it is compared with, by the headings of their columns."""
     logical, evaluation, draws = _evaluated(config.target, run)
     found = {Path(config.ads).name: evaluation}
@@ -183,21 +195,11 @@ def _values(config: CampaignConfig, found: Mapping[str, Evaluation]) -> dict[str
     return values | ({"decision": {**asdict(decision), "verdict": decision.verdict}} if decision else {})
 
 
-class _Run(NamedTuple):
-    """What all evaluations of one command have in common."""
-
-    scenarios: int
-    seed: int
-    workers: int
-    quiet: bool
-    goal: Goal | None
-    folder: RateFolder | None
-
-
 def _evaluated(target: Target, run: _Run, *, beside: bool = False) -> tuple[LogicalScenario, Evaluation, bool]:
     """Evaluate a target, after a check of its driver, and return whether the driver could draw its actions.
 
-    Warnings about a driver that is shown beside the policy, or about a constant one, are left out.
+    Its failures are stored if the run has a folder. Warnings about a driver that is shown beside the policy, or about a
+    constant one, are left out.
     """
     say_unless_quiet = partial(_say, quiet=run.quiet)
     with ExitStack() as stack:

@@ -108,7 +108,7 @@ _EARLY: Final = "; highway-env may declare it before the boxes touch, and then t
 
 
 class _Scenes:
-    """The scenes of an export, written to `draft` and moved to `out` later. Those on the same road share its file."""
+    """The scenes of an export, in `draft`, which the command moves to `out`. Those on the same road share its file."""
 
     def __init__(
         self,
@@ -183,7 +183,7 @@ class _Scenes:
                 there = self._out / file
                 if file not in self._roads.values() and (not there.exists() or same_road(there, road)):
                     break
-            if there.exists():
+            if there.exists():  # with the same road
                 road.unlink()
             else:
                 road.replace(self._draft / file)

@@ -86,7 +86,7 @@ class Output:
 
     @cached_property
     def text(self) -> TextIO:
-        """Where everything else is printed.
+        """The stream for everything else that is printed; see `check_outputs`.
 
         Raises:
             InputError: if a file cannot be written.
@@ -127,6 +127,8 @@ class Checks:
 
     def outcome(self, found: RunSummary) -> tuple[bool, str]:
         """Return whether a run passes, and a sentence on it; an empty one if nothing is checked."""
+        if self.fail_above is None and not self.fail_on_violation:
+            return True, ""
         new = self.new_classes(found)
         failed = found.failed - sum(one.count for one in found.classes if one.id in self.known)
         share = failed / max(found.executions, 1)
@@ -136,8 +138,6 @@ class Checks:
         if self.fail_above is not None:
             has_failed |= share > self.fail_above
             what += f"; {'more' if share > self.fail_above else 'not more'} than {self.fail_above:.1%}"
-        if self.fail_above is None and not self.fail_on_violation:
-            return True, ""
         return not has_failed, f"The check {'failed' if has_failed else 'passed'}: {what}"
 
 
@@ -217,7 +217,7 @@ def fuzz(
     """
     given, resumed = {**driver, **search}, flags.resume
     workers = _checked_workers(flags.workers, flags.cluster)
-    text, _ = output.text, checks.known  # files are looked at before the work
+    text, _ = output.text, checks.known  # both check their files, before the work begins
     _check_together(flags, given)
     chosen = _resumed_config(resumed, given) if resumed else _new_config(given, flags.config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=output.quiet)
@@ -273,6 +273,7 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, output
 
 
 def _run(campaign: Campaign, store: Store, display: Display, method: str, text: TextIO) -> int:
+    """Run a campaign, let failures be confirmed, print the summary to `text`, and return the exit code."""
     gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     code, failure = OK, None
     with display:
@@ -325,9 +326,9 @@ def _checked_workers(workers: int | None, cluster: str | None) -> int:
 
 
 def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
-    said = read_config(file) if file else {}
-    check_said_twice(said, given, file or "")
-    values = {**said, **given, "specs": (*said.get("specs", ()), *given.get("specs", ()))}
+    in_file = read_config(file) if file else {}
+    check_said_twice(in_file, given, file or "")
+    values = {**in_file, **given, "specs": (*in_file.get("specs", ()), *given.get("specs", ()))}
     trained = None
     if isinstance(values.get("ads"), str):
         values["ads"] = os.path.expanduser(values["ads"])  # noqa: PTH111 - a name, not always a path
@@ -338,10 +339,10 @@ def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
 
 
 def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
-    """Return the configuration in a run folder, possibly with another budget."""
-    stored, said = stored_config(run), {name: value for name, value in given.items() if name != "trust"}
-    check_unchanged({name: value for name, value in said.items() if name != "budget"}, stored.says, "run")
-    names = tuple(value for value in said.values() if isinstance(value, str))
+    """Return the configuration in a run folder, with the given budget, if any; nothing else may be changed."""
+    fixed = {name: value for name, value in given.items() if name not in ("trust", "budget")}
+    check_unchanged(fixed, stored_config(run).says, "run")
+    names = tuple(value for value in given.values() if isinstance(value, str))
     consent = Consent(given.get("trust", ()), given.get("unconfined", False), names)
     config = accepted_run(run, consent, ALL, goes_on=True)
     return replace(config, budget=given.get("budget", config.budget))

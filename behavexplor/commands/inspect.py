@@ -83,9 +83,8 @@ def inspect(
     given = {"activation": f"{activation}, as --activation says"} if activation else {}
     known = {"file": str(found.path), **found.facts, **given, **driving}
     for label, text in known.items():
-        say(
-            f"{label}\n{text}" if label == "digest" else hanging(f"{label:{_LABEL}}", text), file=output
-        )  # so that it can be copied
+        beside = hanging(f"{label:{_LABEL}}", text)
+        say(f"{label}\n{text}" if label == "digest" else beside, file=output)  # so that it can be copied
     if command is not None:
         say(f"Search for its failures:\n{command}", file=output)
     write_json(json_file, {**known, "fits": fits, "command": command})

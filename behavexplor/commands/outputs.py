@@ -21,7 +21,7 @@ JUnitFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_h
 def check_outputs(*paths: Path | None) -> TextIO:
     """Check that files can be written, and return the stream for everything else that is printed.
 
-    That is standard output; but standard error if one of the files is standard output, which then has nothing else.
+    That is standard output; or standard error, if a file is `STDOUT`, so that standard output has that file alone.
 
     Raises:
         InputError: if a file cannot be written, or two of them are standard output.
@@ -72,8 +72,8 @@ def write_junit(
 ) -> None:
     """Write test cases as JUnit XML, which CI systems show, if there is a file for them.
 
-    `suite` is also the `classname` of each case. They took `seconds` together. Scenarios are driven at the same time,
-    so the time of one of several is not known.
+    `suite` is also the `classname` of each case. All cases together took `seconds`. Scenarios are driven at the same
+    time, so the time of one of several is not known.
 
     Raises:
         InputError: if it cannot be written.

@@ -37,13 +37,13 @@ def rates_table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
 def _rows(evaluations: Mapping[str, Evaluation]) -> list[str]:
     """Return the outcomes that are shown of some evaluations, each kind of outcome together."""
     outcomes = dict.fromkeys(
-        outcome for found in evaluations.values() for outcome in found.counts if not _is_said(outcome, evaluations)
+        outcome for found in evaluations.values() for outcome in found.counts if not _is_redundant(outcome, evaluations)
     )
     kinds = list(dict.fromkeys(outcome.partition(": ")[0] for outcome in outcomes))
     return sorted(outcomes, key=lambda outcome: (kinds.index(outcome.partition(": ")[0]), outcome))
 
 
-def _is_said(outcome: str, evaluations: Mapping[str, Evaluation]) -> bool:
+def _is_redundant(outcome: str, evaluations: Mapping[str, Evaluation]) -> bool:
     """Return whether another row says the same of all drivers: missed destinations, or collisions of unknown fault."""
     collision, _, destination = (spec.name for spec in SPECS)
     rows = [(found.n, found.counts.get(outcome, 0), found.counts) for found in evaluations.values()]

@@ -187,7 +187,7 @@ def _driven(
 ) -> tuple[Trace, bool]:
     """Drive a witness, and return its trace and whether it avoids the collision and fails in no other way."""
     scenario: Any = execution.scenario
-    if isinstance(witness, OtherDriver) != scenario.has_original:  # of highway-env's environments, unlike a maneuver
+    if isinstance(witness, OtherDriver) != scenario.has_original:  # other drivers are for highway-env's environments
         raise InputError(f"The avoidance stored for execution {execution.id} belongs to an environment of another kind")
     if isinstance(witness, OtherDriver):
         trace = drive_again(scenario, witness)

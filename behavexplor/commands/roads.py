@@ -1,4 +1,4 @@
-"""Roads of executions that are exchanged with other tools."""
+"""Roads of executions that are exchanged with other tools, and the libraries that this takes."""
 
 from collections.abc import Mapping
 from functools import lru_cache

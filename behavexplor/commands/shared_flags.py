@@ -1,4 +1,4 @@
-"""Flags that several commands share, and flags that are made of the fields of a configuration.
+"""Flags that several commands share, or that are fields of a configuration; and the note that a driver is loading.
 
 The help text of a flag is in the docstring of its command's function, or of the dataclass that it is a field of: a
 group of flags (such as `Running` here), or the configuration (`CampaignConfig`, `Target`).
@@ -158,7 +158,7 @@ def described(kind: type) -> dict[str, str]:
 def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
     """Check that flags beside --resume do not change the configuration of what is resumed.
 
-    `given` has their values by the keys of the stored configuration, and `what` names what is resumed.
+    `given` has their values by the keys of the stored configuration, and `what` names what is resumed, for the message.
 
     Raises:
         InputError: if a value differs.

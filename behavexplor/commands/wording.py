@@ -1,4 +1,4 @@
-"""Numbers, times and lists in words, for all commands. Nothing that is slow to import is needed for them."""
+"""Numbers, times and texts as all commands print them. Nothing that is slow to import is needed for them."""
 
 import re
 import shutil

@@ -1,7 +1,11 @@
-"""Roads, with links and junctions, made of lanes, and written as OpenDRIVE 1.7 by the library scenariogeneration.
+"""Roads as OpenDRIVE 1.7, written by the library scenariogeneration; and their layout: links and junctions.
 
 Every lane is a right lane of a road in its own direction. The reference line of a road is the center line of its
-leftmost lane, and the lane offset says so.
+leftmost lane, and the lane offset says so. Sines become cubic polynomials, since OpenDRIVE has no sines.
+
+OpenDRIVE links one road to one other road. Where roads fork or merge, they cross a junction: the roads on the side with
+several roads become the junction's connecting roads. A connecting road must begin and end at roads outside the
+junction. Where there would be none, its end is cut off as a road of its own.
 """
 
 import math
@@ -24,17 +28,19 @@ from behavexplor.data.road_shape import BROKEN, DASH, NO_LINE, PERIOD, SOLID, Pl
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane
 from behavexplor.exchange.axes import mirrored_lane
 
+Links = dict[tuple[int, int], tuple[tuple[int, int], ...]]  # see `RoadLayout.links`
+
 MAX_ERROR: Final = 0.001  # greatest distance of a piece from the sine [m]
-Links = dict[tuple[int, int], tuple[tuple[int, int], ...]]
 NOWHERE: Final = -1  # junction of a road outside junctions
 _SAME: Final = 1e-6  # greatest deviation of parallel lanes from parallels [m] [rad]
 _MEETING: Final = 0.01  # greatest gap between lanes that are linked [m]
 _MEETING_ANGLE: Final = 0.02  # greatest bend between them [rad]
 _CUT: Final = 10.0  # length of the road that is cut off from a connecting road [m]
 _SHORTER: Final = 1e-9  # how much the length of a cubic is rounded down [m]
-_SHARES: Final = np.linspace(0.0, 1.0, 5)
+_SHARES: Final = np.linspace(0.0, 1.0, 5)  # places at which two lanes are compared, as shares of their lengths
+
 REVISION: Final = "7"  # minor revision of OpenDRIVE 1
-# where a road of no place lies, which CARLA asks for: its origin at latitude 0 and longitude 0
+# the place on earth, for which CARLA asks: these roads have none, so their origin is at latitude 0 and longitude 0
 _PLACE: Final = "+proj=tmerc +lat_0=0 +lon_0=0 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
 _FIRST_JUNCTION: Final = 1000  # id of the first junction; ids of roads are smaller where there are fewer roads
 
@@ -223,7 +229,7 @@ def _junctions(links: Links, count: int) -> tuple[int, ...]:
 
 
 def write_road(plan: RoadPlan, name: str, path: Path) -> None:
-    """Write a road as an OpenDRIVE file."""
+    """Write a road as an OpenDRIVE file; `name` is that of the road network."""
     layout = road_layout(plan)
     network = xodr.OpenDrive(name, revMinor=REVISION, geo_reference=_PLACE)
     for i in range(len(layout.roads)):

@@ -165,11 +165,12 @@ def _rows(mover: Mover, dialect: Dialect) -> Floats:
     pose = axes.mirrored(axes.shifted(mover.pose, -dialect.axle * mover.size[0]))
     pose[:, 2] = (pose[:, 2] + np.pi) % (2 * np.pi) - np.pi
     stands = np.concatenate([[False], (np.diff(mover.pose, axis=0) == 0).all(1), [False]])  # since the point before
-    since = np.maximum.accumulate(np.where(stands[:-1], -np.inf, mover.time))
+    since = np.maximum.accumulate(np.where(stands[:-1], -np.inf, mover.time))  # when it came to where it is
     settled = mover.time - since >= _SETTLING
-    inner = stands[:-1] & stands[1:] & ~(settled & ~np.concatenate([[False], settled[:-1]]))
+    first_settled = settled & ~np.concatenate([[False], settled[:-1]])
+    left_out = stands[:-1] & stands[1:] & ~first_settled
     rows = np.round(np.column_stack([mover.time, pose]), axes.DIGITS) + 0.0  # no negative zeros
-    return np.asarray(rows[~inner])
+    return np.asarray(rows[~left_out])
 
 
 def _first_speed(mover: Mover) -> float:
@@ -211,7 +212,7 @@ def _reach(init: Any, destination: Floats, dialect: Dialect) -> list[tuple[str, 
 def _speed_profile(npc: NPC) -> Floats:
     """Return the speed at the end of each phase [m/s] and the duration of the phase [s], shape (P, 2).
 
-    In the last phase, of a second, the vehicle stands. Without it, a player may go on with the last deceleration.
+    A last phase of one second is added, in which the vehicle stands: a player might go on with the last deceleration.
     """
     waypoints = waypoint_array(npc)
     table = np.empty((len(waypoints) + 1, N_PHASE_COLUMNS))

@@ -1,4 +1,4 @@
-"""Scenarios restored from scenes: a script, or random draws, that a scene holds, or a script fitted to a trajectory."""
+"""Scenarios from scenes, the reverse of an export. A trajectory drawn or changed by hand gets the closest script."""
 
 import math
 from dataclasses import replace
@@ -100,8 +100,7 @@ def _npc(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
             raise InputError(f"{mover.name} has neither a trajectory nor the properties {ROUTE} and {WAYPOINTS}")
         raise InputError(
             f"{mover.name} has no trajectory, and its start, route or speed profile is not that which was exported "
-            f"with its properties: change {ROUTE} and {WAYPOINTS} to what it shall drive, and remove "
-            f"{RECORDED}"
+            f"with its properties: change {ROUTE} and {WAYPOINTS} to what it shall drive, and remove {RECORDED}"
         )
     return replace(fitted_script(mover, ranges), type=mover.type)
 

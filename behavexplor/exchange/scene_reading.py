@@ -82,7 +82,6 @@ KNOWN: Final[Mapping[str, frozenset[str]]] = MappingProxyType(  # the elements t
     {name: frozenset(children.split()) for name, children in _CHILDREN.items()} | dict.fromkeys(_LEAVES, frozenset())
 )
 
-
 _ROOT: Final = "OpenSCENARIO"
 _KINDS: Final = MappingProxyType(  # of other files, by their roots
     {

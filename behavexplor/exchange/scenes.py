@@ -54,7 +54,7 @@ class Mover:
     script: NPC | None = None  # its route and waypoints; None if it is not scripted
     # points of its route as they are written, shape (P, 2) [m]; empty if it is not scripted
     route: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    center: tuple[float, float] = (0.0, 0.0)  # its center in a file, from the reference point along and across it [m]
+    center: tuple[float, float] = (0.0, 0.0)  # its center relative to the file's reference point: along, across [m]
     is_changed: bool = False  # whether a file says something else of it than was written, see `motion_digest`
 
 
@@ -80,12 +80,9 @@ class SceneFile:
 def motion_digest(mover: Mover, rows: Floats, *drive: Floats) -> str:
     """Return a digest of all numbers in a file that count for a vehicle, which tells whether they were changed.
 
-    Args:
-        mover: the vehicle.
-        rows: times and poses of its reference point, shape (T, 4).
-        drive: points of its route and its speed profile, if the file has them.
-
-    The type of a scripted vehicle has a box, and its trajectory has a speed at the start, so these do not count there.
+    `rows` has the times and poses of its reference point, shape (T, 4); `drive` the points of its route and its speed
+    profile, if the file has them. Of a scripted vehicle, the box does not count, since its type has one; nor does the
+    speed at the start, if there is a trajectory, which has one.
     """
     is_scripted = mover.script is not None
     numbers: list[ArrayLike] = [rows, *drive]

@@ -26,7 +26,7 @@ from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import is_at_fault
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
-from behavexplor.triage.findings import Finding, Minimized, trace_path
+from behavexplor.triage.findings import Finding, Minimized, minimized_trace_path
 
 SUITE_FORMAT: Final = 1
 SUITE: Final = "suite.yaml"
@@ -237,7 +237,7 @@ def candidates(records: Iterable[Record], known: Mapping[int, Finding]) -> dict[
 def case_of(store: Store, config: CampaignConfig, minimal: Minimized) -> Case:
     """Return the case of a minimized failure."""
     specs = load_specs(config.specs)
-    trace = Trace.from_bytes(read_file(trace_path(store.folder, minimal.id)))
+    trace = Trace.from_bytes(read_file(minimized_trace_path(store.folder, minimal.id)))
     kind = violation_class(trace, judge(trace, specs).violated)
     return Case(
         words=kind.words if kind else minimal.class_id,

@@ -29,9 +29,9 @@ MAX_FRAMES = 300  # greatest number of frames of an animation; longer episodes r
 FRAME_TIME = 0.1  # time between two pictures of an animation [s]
 
 MOST_DRAWN = 100  # greatest number of other vehicles in a picture, those nearest to the ego
-_PATH_POINTS = 8000  # of all paths in a picture; longer ones are thinned
-_ANIMATION_POINTS = 12_000_000  # of all pictures of an animation; a larger road has fewer pictures
-_PAIRS_AT_ONCE = 20_000  # of vehicles whose distance is computed
+_PATH_POINTS = 8000  # greatest number of points of all paths in a picture; longer ones are thinned
+_ANIMATION_POINTS = 12_000_000  # greatest number of points in all pictures of an animation; a larger road gets fewer
+_PAIRS_AT_ONCE = 20_000  # pairs of vehicles whose distances are computed together, which takes memory
 _SHARPNESS = 2  # factor by which pictures are drawn larger before they are reduced
 
 
@@ -139,12 +139,12 @@ def draw(footage: Footage, frame: int) -> Image.Image:
     if not trace.signals or ARRIVED in trace.signals:
         canvas.circle(trace.destination, 1.0, colors["accent"])
     boxes = box_corners(trace.position[frame], trace.heading[frame], trace.size)
-    drawn = _nearest(trace.position[frame], trace.present[frame] if trace.present.size else np.ones(len(boxes), bool))
+    present = trace.present if trace.present.size else np.broadcast_to(np.True_, trace.heading.shape)
+    drawn = _nearest(trace.position[frame], present[frame])
     points = _PATH_POINTS // (len(drawn) + 1)
     left = _thinned(np.arange(frame, len(trace.time)), points)
     for npc in drawn:
-        path = trace.position[left, npc]
-        canvas.path(path[trace.present[left, npc]] if trace.present.size else path, footage.color(npc), 0.15)
+        canvas.path(trace.position[left, npc][present[left, npc]], footage.color(npc), 0.15)
         canvas.vehicle(boxes[npc], footage.color(npc), colors["edge"])
     canvas.path(trace.position[_thinned(np.arange(frame + 1), points), 0], footage.color(0), 0.15)
     canvas.vehicle(boxes[0], footage.color(0), colors["accent"])

@@ -16,8 +16,6 @@ from behavexplor.report.marks import decisions, violation_place
 from behavexplor.report.reading import ReportedRun
 from behavexplor.triage.findings import Finding, fault_words, tally
 
-Steps = Ints
-
 FRAME_TIME: Final = 0.1  # time between two frames of a replay [s]
 MAX_FRAMES: Final = 900  # greatest number of frames of a replay; a longer one has frames farther apart
 LENGTH_UNIT: Final = 0.01  # unit of positions [m]; larger where a replay spans more than 650 m
@@ -56,7 +54,7 @@ class Packed:
 
 
 def pack(trace: Trace, frame: int) -> Packed:
-    """Pack a trace, and keep its frame of a given index."""
+    """Pack a trace. The frame with this index is kept, whatever others are left out."""
     kept = _kept(trace, frame)
     position = _held(trace)[kept]
     low, high = position.min((0, 1)), position.max((0, 1))
@@ -104,7 +102,7 @@ def _kept(trace: Trace, frame: int) -> Ints:
 
 
 def _deflated(rows: list[Floats]) -> str:
-    steps: Steps = np.diff(np.stack(rows), axis=1, prepend=0).astype(np.int64)
+    steps: Ints = np.diff(np.stack(rows), axis=1, prepend=0).astype(np.int64)
     words = (steps & 0xFFFF).astype("<u2").ravel()
     planes = words.view(np.uint8).reshape(-1, 2).T  # high bytes are mostly equal, so they deflate better separately
     return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode("ascii")
@@ -137,7 +135,7 @@ def minimal_name(number: int) -> str:
 def cards(run: ReportedRun, limit: int) -> tuple[Card, ...]:
     """Return the cards of a run: its classes, the largest first, then the executions that passed most narrowly.
 
-    They have up to `limit` replays. Each class gets one replay before any class gets two.
+    Together, they have up to `limit` replays. Each class gets one replay before any class gets two.
     """
     classes = run.classes
     found = [_card(class_id, findings, run.examined) for class_id, findings in classes.items()]

@@ -1,4 +1,4 @@
-"""What replays and pictures say of a trace: its outcome, decisions, the place of a violation, and colors."""
+"""What replays and pictures have in common: the place of a violation, words for an outcome, decisions, and colors."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -63,7 +63,7 @@ def _into_box(point: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
 
 
 def outcome(violated: Sequence[str], end: str) -> str:
-    """Describe the outcome of an execution, to follow its number, by the violated specs and the kind of its end."""
+    """Describe an outcome, to follow the number of an execution; `end` is one of `behavexplor.data.trace.ENDS`."""
     verdict = f"failed ({' and '.join(violated)})" if violated else "passed"
     return f"{verdict}, ended by {_ENDED_BY[end]}"
 

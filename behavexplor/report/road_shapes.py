@@ -18,7 +18,7 @@ _MARGIN: Final = 60.0  # distance from the vehicles within which the lines betwe
 
 
 def known_road(env: str, run: Path) -> RoadShape | None:
-    """Return the road of a run: a known one, or the one in its folder; None if it is not known.
+    """Return the road of a run: the one in its folder, or else that of an environment of this package; None for others.
 
     No environment of another package is made, since a report must not import third-party code that a run folder names.
 
@@ -54,7 +54,7 @@ def line_kinds(shape: RoadShape | None, trace: Trace) -> tuple[str, ...]:
 
 
 def road_values(shape: RoadShape | None, trace: Trace) -> dict[str, Any]:
-    """Return the road as JSON values, with lengths in meters. For None, they are only the lines and route of a trace.
+    """Return the road as JSON values, with lengths in meters. If it is None, only a trace's lines and route are known.
 
     All executions have the same illegal lines, so any trace will do.
     """

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from itertools import repeat
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,17 +28,17 @@ from behavexplor.report.marks import type_color
 from behavexplor.report.reading import ReportedRun
 from behavexplor.report.rendering import rendered
 from behavexplor.report.road_shapes import known_road, road_values
-from behavexplor.triage.findings import trace_path
+from behavexplor.triage.findings import minimized_trace_path
 
 PAGE: Final = "report.html"
-MOST_REPLAYS: Final = 2000  # of each run
+MOST_REPLAYS: Final = 2000  # greatest number of replays of each run
 MOST_COMPARED: Final = 750  # greatest number of executions on the map of behaviors
-MOST_PLACES: Final = 50_000_000  # of vehicles in frames, in all traces of a page
-MOST_STATES: Final = 2_000_000  # of all behaviors on the map
-MOST_SHOWN: Final = 200_000  # places of vehicles in one replay
+MOST_PLACES: Final = 50_000_000  # greatest number of places, one of each vehicle in each frame, in a run's traces
+MOST_STATES: Final = 2_000_000  # greatest length of all behaviors on the map together, in abstract states
+MOST_SHOWN: Final = 200_000  # greatest number of places in one replay
 
 _NOT_EXAMINED: Final = "not examined"
-_PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30
+_PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30  # greatest numbers of ribbons of executions that passed, and of classes
 _SYMBOLS: Final = {
     "R1": "R1: collision",
     "R2": "R2: illegal line touched",
@@ -179,9 +178,9 @@ def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first:
 def _looked_at(
     run: ReportedRun, wanted: Sequence[int], replayed: Collection[int]
 ) -> tuple[dict[int, Trace], dict[int, Record]]:
-    """Return traces, and the records of the replayed executions, by number, the most important first.
+    """Return the traces of the wanted executions, and the records of the replayed ones, by their numbers.
 
-    There is always room for the first.
+    The wanted are taken in their order until `MOST_PLACES` or `MOST_STATES` is exceeded, but always the first of them.
     """
     traces: dict[int, Trace] = {}
     records: dict[int, Record] = {}
@@ -207,6 +206,7 @@ def evenly(numbers: Sequence[int], count: int) -> list[int]:
 
 
 def _fits(trace: Trace) -> bool:
+    """Return whether the replay of a trace is small enough for the page."""
     return min(len(trace.time), MAX_FRAMES) * len(trace.size) <= MOST_SHOWN
 
 
@@ -227,7 +227,7 @@ def _minimal_replays(run: ReportedRun, gallery: Sequence[Card]) -> dict[str, Any
     """Return the replays of minimized failures by their names."""
     replays = {}
     for number in (card.minimal for card in gallery if card.minimal is not None):
-        minimal, path = run.minimized[number], trace_path(run.folder, number)
+        minimal, path = run.minimized[number], minimized_trace_path(run.folder, number)
         try:
             trace = Trace.from_bytes(read_file(path))
             if not _fits(trace):
@@ -328,7 +328,7 @@ _FIGURES: Final[dict[str, Callable[[ReportedRun], str]]] = {  # rows of the comp
 
 
 def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ()) -> str:
-    """Return the report on runs as a page in ASCII. Equal run folders give equal pages.
+    """Return the report on runs, at least one, as a page in ASCII. Equal run folders give equal pages.
 
     `replays` is the greatest number of replays of each run. `pairs` compares the drivers of the first two in the same
     scenarios; the page then begins with what the second one fixes and breaks.
@@ -339,10 +339,11 @@ def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ())
     if not 0 <= replays <= MOST_REPLAYS:
         raise InputError(f"The number of replays must lie between 0 and {MOST_REPLAYS}, not be {replays}")
     words = [{finding.id: finding.words for finding in run.findings} for run in runs[:2]]
-    several, found = len(runs) > 1, side_by_side(pairs, words, replays) if pairs else None
+    found = side_by_side(pairs, words, replays) if pairs else None
     labels = _labels(runs, are_paired=bool(pairs))
-    first = [found.shown if found and number <= 2 else () for number in range(1, len(runs) + 1)]
-    sections = [section(i, *one) for i, one in enumerate(zip(runs, labels, repeat(replays), first), 1)]
+    wanted_first = [found.shown if found and i < 2 else () for i in range(len(runs))]
+    sections = [section(i + 1, run, labels[i], replays, wanted_first[i]) for i, run in enumerate(runs)]
+    several = len(runs) > 1
     return rendered(
         "page.html.jinja",
         ("theme.js", "page.js"),

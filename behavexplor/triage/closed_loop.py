@@ -80,7 +80,7 @@ class ScriptedDriver:
 
 
 def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> OtherDrivers:
-    """Find a driver that keeps all requirements of the environment in a scenario."""
+    """Find a driver that keeps all requirements of the environment in a scenario; `rng` draws the random actions."""
     names = ["careful"]
     names += [f"always {name}" for name in CONSTANT]
     names += [f"random actions {i}" for i in range(1, RANDOM + 1)]
@@ -149,7 +149,7 @@ def _environment(setup: Setup) -> Any:
     return make_recorded(replace(setup, config=config_text(CarefulDriver().fitted(json.loads(setup.config)))))
 
 
-@lru_cache(maxsize=2)  # with one sub-environment for the careful driver, and as many as there are others
+@lru_cache(maxsize=2)  # one for the careful driver alone, and one for all others together
 def _lock_step(setup: Setup, count: int) -> Any:
     """Return a vector environment of `_environment(setup)` with so many sub-environments."""
     return make_vector_env(_environment(setup), count, {})
@@ -183,7 +183,7 @@ class Branching:
         self._left = 0  # branchings before the search is given up
 
     def search(self, scenario: DrawnScenario, actions: Ints) -> LastChance | None:
-        """Search the last chance after these actions, shape (D,), which ended with a crash; see `last_chance`."""
+        """Search for the last chance in an episode of these actions, shape (D,), that ended with a crash."""
         states = self._states(scenario, actions)
         self._left = MOST_BRANCHINGS
         for back in range(1, min(len(states), MOST_BACK) + 1):

@@ -42,8 +42,8 @@ class Fork:
 class ForkedPlanner:
     """An ADS that drives the egos of a batch as recorded, each up to its own fork.
 
-    Up to its fork, an ego gets the recorded commands. Meanwhile, the recorded planner runs as well, so that the planner
-    that takes over has the right memory. Row i of the batch is fork i.
+    Up to its fork, an ego gets the recorded commands, `actions`, shape (D, 2). Meanwhile, the recorded planner runs as
+    well, so that the planner that takes over has the right memory. Row i of the batch is fork i.
     """
 
     def __init__(self, planner: RulePlanner, actions: Floats, forks: Sequence[Fork]) -> None:
@@ -90,7 +90,7 @@ def run_forks(
 ) -> list[Trace]:
     """Continue a recorded execution of the rule planner along several forks, and return the trace of each.
 
-    The replays last `seconds`, or longer; None stands for whole executions.
+    The replays have the duration `seconds`, or a longer one; None is for whole executions.
 
     Raises:
         TypeError: if the ADS is not the rule planner.
@@ -128,7 +128,7 @@ class Cause:
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:
-    """Return the cause of the first violated spec, in the order R1, R2, R3; None if there is none.
+    """Return why the rule planner violated a spec, the first of R1, R2 and R3; None if it did not, or did not drive.
 
     The simulation must have the ADS and the environment of the recorded execution, and the trace its decision log.
     """

@@ -34,7 +34,6 @@ class Rerun:
 
     same_verdict: bool  # whether both violated the same specs
     same_trace: bool  # whether both have the same trace, to the resolution of traces
-    deviation: float  # greatest distance between the ego's positions at the same time, over the shorter execution [m]
 
 
 def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Rerun:
@@ -42,13 +41,10 @@ def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequ
     try:
         again = simulation.run_compiled(scenario)
     except ADSError:
-        return Rerun(same_verdict=False, same_trace=False, deviation=0.0)
-    frames = min(len(again.time), len(trace.time))
-    apart = again.position[:frames, 0] - trace.position[:frames, 0]
+        return Rerun(same_verdict=False, same_trace=False)
     return Rerun(
         same_verdict=judge(again, specs).violated == judge(trace, specs).violated,
         same_trace=again.to_bytes() == trace.to_bytes(),
-        deviation=float(np.hypot(apart[:, 0], apart[:, 1]).max()),
     )
 
 
@@ -57,7 +53,7 @@ class FailureEvaluator(Evaluator):
 
     def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
         super().__init__(**target)
-        self.specs = tuple(specs)
+        self.specs = tuple(specs)  # names of the user's specs, for `load_specs`
 
     def begin(self) -> None:
         """Load the ADS and make its environment. Calls do not run in batches."""
@@ -68,7 +64,7 @@ class FailureEvaluator(Evaluator):
 def start_evaluator(
     kind: type[FailureEvaluator], config: CampaignConfig, patience: float, workers: int, driver: ADS | None
 ) -> Executor:
-    """Start the executor of an evaluator of failures. Each may take `patience` times the time limit of an execution."""
+    """Start the executor of an evaluator. A failure may take `patience` times the time limit of an execution."""
     target = replace(config.target, time_limit=patience * config.time_limit)
     return start_executor(target, workers, recipe=recipe_for(kind, target, specs=config.specs), driver=driver)
 

@@ -29,7 +29,7 @@ from behavexplor.judge.events import REQUIREMENTS
 T = TypeVar("T")
 
 FINDINGS_FORMAT: Final = 1  # of the files of triage and of minimization
-TRIAGE, WITNESSES = "triage.json", "witnesses"
+TRIAGE, WITNESSES, MINIMIZED = "triage.json", "witnesses", "minimized"  # names in a run folder
 _FAULTS: Final = MappingProxyType(
     {
         "ego_cut_in": "the ego's (it cut in)",
@@ -171,7 +171,7 @@ class Triage:
 
 
 def read_made(kind: type[T], path: Path, command: str) -> T:
-    """Return what a command has written into a run folder, as JSON with a dataclass's fields and the format.
+    """Read a dataclass that a command has written into a run folder as JSON; `command` is for messages.
 
     Raises:
         InputError: if the file cannot be read, is damaged, or has another format version.
@@ -296,9 +296,6 @@ def error_finding(record: Record, *, happened_again: bool) -> Finding:
     )
 
 
-MINIMIZED: Final = "minimized"
-
-
 @dataclass(frozen=True, kw_only=True)
 class Minimized:
     """A minimized failure.
@@ -340,7 +337,7 @@ class Minimized:
 
     def write(self, folder: Path, trace: bytes) -> None:
         """Write the minimized failure and the trace of its scenario into a run folder."""
-        write_durably(trace_path(folder, self.id), trace)
+        write_durably(minimized_trace_path(folder, self.id), trace)
         write_durably(
             minimized_path(folder, self.id), json.dumps({"format": FINDINGS_FORMAT, **self.to_dict()}, indent=1) + "\n"
         )
@@ -351,7 +348,7 @@ def minimized_path(folder: Path, number: int) -> Path:
     return folder / MINIMIZED / f"{number:06d}.json"
 
 
-def trace_path(folder: Path, number: int) -> Path:
+def minimized_trace_path(folder: Path, number: int) -> Path:
     """Return the file with the trace of a minimized failure in a run folder."""
     return minimized_path(folder, number).with_suffix(".trace")
 
@@ -373,6 +370,6 @@ def known_minimized(folder: Path, findings: Mapping[int, Finding]) -> dict[int, 
     return {
         number: one
         for number, one in read_minimized(folder).items()
-        if trace_path(folder, number).is_file()
+        if minimized_trace_path(folder, number).is_file()
         and (number not in findings or (one.fault, one.cause) == (findings[number].fault, findings[number].cause))
     }

@@ -42,9 +42,9 @@ TIME_LIMIT: Final = 10.0  # time limit of one failure, in units of the time limi
 
 
 class RunTriage:
-    """Triage of one run. Without `workers`, this process examines; `driver`, if any, drives in place of the run's ADS.
+    """Triage of one run. With 0 `workers`, this process examines; `driver`, if any, drives in place of the run's ADS.
 
-    `afresh` also examines the failures whose findings are known. `waiting` has the numbers of all that are to come.
+    `waiting` has the numbers of the failures to examine: those without a finding, or all of them if `afresh`.
 
     Raises:
         InputError: if the folder is not a run folder, or is damaged.
@@ -62,7 +62,7 @@ class RunTriage:
         self.waiting = [number for number in self._failures if number not in self._known]
 
     def examine(self, observe: Callable[[int], None]) -> Triage:
-        """Examine the waiting failures, and write the findings into the run folder; `observe` gets their number so far.
+        """Examine the waiting failures, and write the findings into the run folder. `observe` gets how many are done.
 
         Then highway-env confirms the first failures of each class, if that has not been tried.
 
@@ -123,7 +123,7 @@ class RunTriage:
 
 
 def _call(execution: Execution, seed: int) -> tuple[str, bytes]:
-    """Return the function that examines a failure, and its argument. One of the ADS itself is only executed again."""
+    """Return the function that examines a failure, and its argument. If the ADS itself failed, it is only run again."""
     if execution.record.error is not None:
         return EXECUTE, execution.scenario.to_json().encode()
     return EXAMINE, examination(execution.record, execution.trace, seed)

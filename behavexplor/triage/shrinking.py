@@ -41,7 +41,7 @@ class Shrunk(NamedTuple):
 
 
 def shrink(parts: Parts, held: Property, *, removable: bool, limit: int) -> Shrunk:
-    """Minimize a scenario whose parts have a property, so that it is `held`.
+    """Minimize a scenario, given by its parts, which has the property `held`.
 
     `removable` says whether a scenario is valid without some of its parts. After `limit` executions, no further
     candidates are executed.

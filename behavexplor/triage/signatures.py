@@ -28,7 +28,7 @@ HIDDEN: Final = 0.2  # the other vehicle was hidden if it was out of sight for m
 
 
 def signature(trace: Trace, violated: Sequence[str]) -> str | None:
-    """Return the likely cause of the first violated spec, from a trace of the rule planner with its log.
+    """Return the likely cause of the first violated spec, from a trace of the rule planner.
 
     It is one of the sixteen weaknesses, or "environment" if a faster vehicle drove into the ego's back; None if no
     weakness fits, no spec is violated, or the trace has no decision log.
@@ -144,7 +144,7 @@ class Agreement:
     equal: float  # share of equal labels; meaningful only if both sequences use the same names
     precision: float  # mean over the given names of the share of items with that label for which it is true
     recall: float  # mean over the true names of the share of items with that true label that were given it
-    adjusted_rand: float  # adjusted Rand index of the groupings: 1 if they are equal, about 0 by chance
+    adjusted_rand: float  # adjusted Rand index, which ignores names: 1 for equal groups, about 0 for groups by chance
 
 
 def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:

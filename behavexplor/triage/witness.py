@@ -37,6 +37,7 @@ ACTION: Final[Mapping[str, Any]] = MappingProxyType(
         "steering_range": [-MAX_STEERING, MAX_STEERING],
     }
 )
+
 SPACING: Final = 0.25  # distance between points of a path [m]
 BEYOND: Final = 60.0  # straight extension of a path at its end [m]
 BACK, AHEAD = 8, 16  # points behind and ahead of the last nearest point among which the next one is searched for
@@ -45,6 +46,7 @@ LOOK_AHEAD_TIME: Final = 0.25  # growth of the look-ahead distance with the spee
 STEERING: Final = 0.6  # greatest steering angle [rad]
 STEERING_RATE: Final = 0.8  # greatest change of the steering angle [rad/s]
 LATERAL: Final = 5.0  # greatest lateral acceleration [m/s2]
+
 SURVIVED: Final = 4.0  # time after the recorded collision during which a witness touches no vehicle [s]
 SAMPLES: Final = 192  # random evasions that are tried before a collision counts as unpreventable
 BATCH: Final = 64  # random evasions driven in lock-step
@@ -66,9 +68,9 @@ def frequency(trace: Trace) -> int:
 
 
 def recorded_commands(trace: Trace) -> Floats:
-    """Recover accelerations [m/s2] and steering angles [rad] from each frame to the next, shape (T - 1, 2).
+    """Recover the ego's accelerations [m/s2] and steering angles [rad] from frame to frame, shape (T - 1, 2).
 
-    This inverts `Vehicle.step` of highway-env.
+    This inverts `Vehicle.step` of highway-env, so it works for any ADS.
     """
     heading, velocity = trace.heading[:, 0], trace.velocity[:, 0]
     forward = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
@@ -91,7 +93,7 @@ def as_actions(commands: Floats) -> Floats:
 
 
 class Playback:
-    """An ADS that gives recorded commands, shape (T, 2), one at each step, and then repeats the last one."""
+    """An ADS that gives commands as in `recorded_commands`, one at each step, and then repeats the last one."""
 
     def __init__(self, commands: Floats) -> None:
         self._actions = as_actions(commands)
@@ -131,9 +133,8 @@ class Evasion:
 class EvasionDriver:
     """An ADS that drives the egos of a batch, each with an evasion of its own, in the same scenario.
 
-    Row i of the batch is evasion i.
-
-    Its path begins with the recorded path, as points `SPACING` apart, shape (P, 2) [m].
+    Row i of the batch is evasion i. The egos accelerate up to `speed_limit` [m/s]. Their common path begins with the
+    recorded one, as points `SPACING` apart, shape (P, 2) [m].
     """
 
     def __init__(self, trace: Trace, evasions: Sequence[Evasion], path: Floats, speed_limit: float) -> None:

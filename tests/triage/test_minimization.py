@@ -22,7 +22,14 @@ from behavexplor.judge.specs import SPECS
 from behavexplor.triage.blame import blame
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.examination import STREAM
-from behavexplor.triage.findings import Finding, Minimized, known_minimized, minimized_path, read_minimized, trace_path
+from behavexplor.triage.findings import (
+    Finding,
+    Minimized,
+    known_minimized,
+    minimized_path,
+    minimized_trace_path,
+    read_minimized,
+)
 from behavexplor.triage.minimization import MINIMIZE, ManyScenarios, signature
 from tests.fakes import LOGICAL
 from tests.triage.test_triage import fuzz
@@ -87,7 +94,7 @@ def test_without_any_one_vehicle_the_failure_is_another_one(run):
 
 def test_the_trace_is_that_of_the_minimized_scenario(run):
     for found in read_minimized(run).values():
-        trace = Trace.from_bytes(trace_path(run, found.id).read_bytes())
+        trace = Trace.from_bytes(minimized_trace_path(run, found.id).read_bytes())
         assert trace.position.shape[1] == 1 + found.minimal.parts
 
 
@@ -196,7 +203,7 @@ def test_what_triage_has_overtaken_or_lost_its_trace_is_minimized_again(tmp_path
     for number, fault in enumerate(["other", "other", None, "preventable"]):
         one = Minimized(id=number, fault=fault, cause=None, executions=1, violated=(), scenario={}, **made)
         one.write(tmp_path, b"trace")
-    trace_path(tmp_path, 3).unlink()
+    minimized_trace_path(tmp_path, 3).unlink()
     seen = {"spec": "R1", "class_id": "R1", "words": "", "same_verdict": True, "same_trace": True}
     triage = {1: Finding(id=1, fault="preventable", **seen), 2: Finding(id=2, cause="R2-1", **seen)}
     assert sorted(known_minimized(tmp_path, {})) == [0, 1, 2]
