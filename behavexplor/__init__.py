@@ -4,8 +4,8 @@
 
 Importing this package only registers environments with gymnasium: `behavexplor/<functional scenario>-v0`; highway-env's
 own, which have a compiled vector form, as `behavexplor/highway-v0` and so on; and `behavexplor/drawn-v0`, which plays
-recorded scenarios in any of highway-env's environments. The simulator is imported
-when an environment is made, and the Python interface when one of its names is used.
+recorded scenarios in any of highway-env's environments. The simulator is imported when an environment is made, and the
+Python interface when one of its names is used.
 """
 
 from importlib import import_module
@@ -47,7 +47,6 @@ _INTERFACE = {  # module of each name of the Python interface
 }
 
 NAMESPACE = "behavexplor"
-
 
 FUNCTIONAL_SCENARIOS = {  # entry points of their environments by name
     name: f"behavexplor.envs.functional:{name.title().replace('-', '')}Env"

@@ -1,4 +1,4 @@
-"""The exception for wrong input, which users see as one sentence instead of a traceback."""
+"""The exception for wrong input, which users see as one sentence instead of a traceback; and texts for messages."""
 
 import sys
 import traceback
@@ -39,7 +39,7 @@ def printable(text: str) -> str:
 
 
 def described(error: BaseException) -> str:
-    """Return the type and the message of an exception of foreign code, which may be long, unprintable or none."""
+    """Return the type and message of an exception of foreign code. The message may be long, unprintable or missing."""
     try:
         message = str(error)[: LONGEST + 1]
     except Exception:  # its own `__str__` raises

@@ -40,16 +40,16 @@ SMALL_BLOCK: Final = 32  # scenarios of a block that are judged by their traces
 BLOCK: Final = 256  # scenarios that are counted together, in lock-step
 LARGE_BLOCK: Final = 1024  # scenarios that are counted together if there are many, which takes less time
 MANY: Final = 16_384  # scenarios of an evaluation with large blocks
-BLOCKS_AHEAD: Final = 64
+BLOCKS_AHEAD: Final = 64  # blocks under way that are counted together
 Observe = Callable[[int], None]
-_COUNTS, _COUNT = "counts", "count"  # functions of the service
+_CAN_COUNT, _COUNT = "can_count", "count"  # functions of the service
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """Outcomes of a number of scenarios."""
 
-    n: int
+    n: int  # number of scenarios
     # number of scenarios by outcome: "arrived", each spec for its violations, "collision: " with each verdict on a
     # collision, "error" for failures of the driver's program, and "error: " with each kind of them. Outcomes are in the
     # order in which they are reported.
@@ -57,28 +57,29 @@ class Evaluation:
     # what was decided on a rate, if the evaluation ended when enough was known. Its number of scenarios then depends on
     # what happened in them, so `interval` does not hold, but that of the decision does.
     decision: Decision | None = None
-    failed: int = 0
+    failed: int = 0  # number of failures
     at_fault: int = 0  # number of failures by the driver's own fault
 
     @classmethod
     def of_outcomes(cls, scenarios: Iterable[Outcomes]) -> Self:
         """Count the outcomes of scenarios. An outcome that means nothing in any of them is left out."""
-        return cls.of_kinds(Counter(scenarios))
+        return cls.of_combinations(Counter(scenarios))
 
     @classmethod
-    def of_kinds(cls, kinds: Mapping[Outcomes, int]) -> Self:
-        """Count the outcomes of scenarios by how often each combination of outcomes occurred."""
+    def of_combinations(cls, combinations: Mapping[Outcomes, int]) -> Self:
+        """Count the outcomes of scenarios, given how many had each combination of them."""
         found: Counter[str] = Counter()
-        for one, count in kinds.items():
-            found.update(dict.fromkeys(one.found, count))
-        asked = {outcome for one in kinds for outcome in one.asked}
+        for one, number in combinations.items():
+            found.update(dict.fromkeys(one.found, number))
+        asked = {outcome for one in combinations for outcome in one.asked}
         details = sorted(outcome for outcome in found if ": " in outcome)
         errors = [name for name in details if name.startswith(ERROR)]
         faults = [name for name in details if name not in errors]
         names = [ARRIVED, SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:]), ERROR, *errors]
-        n = sum(kinds.values())
+        n = sum(combinations.values())
         counts = {name: found[name] for name in names if name in asked or name in found}
-        failed, at_fault = (sum(kinds[one] for one in kinds if _has(one, name)) for name in (FAILED, AT_FAULT))
+        failed = sum(number for one, number in combinations.items() if not one.passed)
+        at_fault = sum(number for one, number in combinations.items() if one.at_fault)
         return cls(n, counts, failed=failed, at_fault=at_fault)
 
     def count(self, outcome: str) -> int:
@@ -108,7 +109,7 @@ class Judge(Evaluator):
     def begin(self) -> None:
         """Load the ADS and create its environment; see `Evaluator.begin`."""
         super().begin()
-        self.functions = {**self.functions, _COUNTS: self.counts, _COUNT: self.count}
+        self.functions = {**self.functions, _CAN_COUNT: self.can_count, _COUNT: self.count}
         self._driven: dict[int, tuple[LockStep, LockStep] | None] = {}  # by the number of slots; see `_episodes`
 
     def answer(self, trace: Trace) -> bytes:
@@ -125,7 +126,7 @@ class Judge(Evaluator):
             self._driven[slots] = (short, whole) if short is not None and whole is not None else None
         return self._driven[slots]
 
-    def counts(self, slots: bytes) -> bytes:
+    def can_count(self, slots: bytes) -> bytes:
         """Return whether `count` can be called for blocks of so many scenarios: one byte if so, none otherwise."""
         return b"1" if self._episodes(int(slots)) else b""
 
@@ -179,10 +180,10 @@ def estimate_rates(
 ) -> Evaluation:
     """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the number of workers.
 
-    The executor is that of `start_judge`; the scenarios are n random ones by the seed. With a goal, the evaluation ends
-    as soon as what is to be known is, at the latest after n scenarios; one in which the driver's program fails counts
-    as one with the outcome, because it says nothing else. `observe` gets the number of finished ones. With a file, the
-    evaluation goes on from it and is written to it.
+    The executor is that of `start_judge`; the n scenarios are drawn by the seed. With a goal, the evaluation ends as
+    soon as its question is answered, at the latest after n scenarios. A scenario in which the driver's program fails
+    then counts against the driver: as one with the goal's outcome, or, if that is "arrived", as one without. `observe`
+    gets the number of finished scenarios. With a file, the evaluation goes on from it and is written to it.
 
     Raises:
         InputError: if the file is damaged, or the environment has no such outcome.
@@ -191,27 +192,27 @@ def estimate_rates(
     outcomes = uniform_outcomes(judge, logical, n, seed, observe, file)
     if goal is None:
         return Evaluation.of_outcomes(outcomes)
-    kinds: Counter[Outcomes] = Counter()
+    combinations: Counter[Outcomes] = Counter()
     done, count, errors, look = 0, 0, 0, 1
     for done, one in enumerate(outcomes, 1):
-        kinds[one] += 1
+        combinations[one] += 1
         is_error = ERROR in one.found and not _has(one, goal.outcome) and goal.outcome != ARRIVED
         errors += is_error
         count += is_error or _has(one, goal.outcome)
-        if done == SMALL_BLOCK:
-            _check_asked(goal.outcome, kinds)
+        if done == SMALL_BLOCK:  # early, because an evaluation may take hours
+            _check_asked(goal.outcome, combinations)
         if done < look:
             continue
         look = math.ceil(done * _BETWEEN_LOOKS)
         if Decision.of(goal, done, count).verdict:
             break
-    _check_asked(goal.outcome, kinds)
-    return replace(Evaluation.of_kinds(kinds), decision=Decision.of(goal, done, count, errors))
+    _check_asked(goal.outcome, combinations)
+    return replace(Evaluation.of_combinations(combinations), decision=Decision.of(goal, done, count, errors))
 
 
-def _check_asked(outcome: str, kinds: Iterable[Outcomes]) -> None:
-    """Refuse an outcome that means nothing in the environment, as far as the driver's program did not fail."""
-    asked = {name for one in kinds for name in one.asked}
+def _check_asked(outcome: str, scenarios: Iterable[Outcomes]) -> None:
+    """Refuse an outcome that means nothing in the environment. No scenario tells it if the program failed in all."""
+    asked = {name for one in scenarios for name in one.asked}
     known = {*asked, ERROR, AT_FAULT, FAILED}
     if asked and outcome.partition(": ")[0] not in known:
         has = ", ".join(name for name in OUTCOMES if name in known)
@@ -273,7 +274,7 @@ def uniform_blocks(
     """
     size = LARGE_BLOCK if numbers.stop >= MANY else BLOCK
     ahead = 0 if judge.runs_here else BLOCKS_AHEAD
-    is_counted = bool(judge.submit(_COUNTS, str(size).encode()).result())
+    is_counted = bool(judge.submit(_CAN_COUNT, str(size).encode()).result())
     if not is_counted:
         size, ahead = SMALL_BLOCK, AHEAD // SMALL_BLOCK
     begin = _begin_to_count if is_counted else _begin_to_judge
@@ -291,7 +292,7 @@ class _Block(NamedTuple):
 
     numbers: range
     counted: "Future[bytes] | None"  # the outcomes of all scenarios; None if each is judged by its trace
-    judged: "Callable[[], list[Future[bytes]]]"  # gets those of each, by its trace, if not counted
+    judged: "Callable[[], list[Future[bytes]]]"  # judges each by its trace, if they are not counted or that failed
     state: Any  # of the generator, after the last scenario
 
 
@@ -345,10 +346,10 @@ def _counted(answer: "Future[bytes]", numbers: range) -> list[Outcomes] | None:
         counted = json.loads(answer.result())
     except (ADSError, InputError, RuntimeError):
         return None
-    for place in counted["differing"]:
+    if differing := counted["differing"]:
         raise RuntimeError(
-            f"scenario {numbers[place]} failed, and did not fail when it was driven again: the driver does not do the "
-            f"same twice, or this is an error of behavexplor"
+            f"scenario {numbers[differing[0]]} failed, and did not fail when it was driven again: the driver does not "
+            "do the same twice, or this is an error of behavexplor"
         )
     return unpacked(counted)
 

@@ -40,7 +40,7 @@ _INSTALLATION = f"behavexplor-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest(
 # absolute import statements; relative ones are not followed
 _IMPORT = re.compile(r"^(?:from|import) ([.\w]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 _njit = cast("Any", numba.njit)  # its stubs leave some options out
-# Makes a number whose type is int64 only. A Python number has a type of its own, for which numba compiles once more.
+# For numbers that a kernel passes to another, which numba would compile once more for the type of a Python number.
 int64: Final = cast("Callable[[int], int]", np.int64)
 _COMPILING: Final = "Compiling to machine code; this takes some seconds, and the code is kept for next time ..."
 _COMPILING_SLOWLY: Final = (
@@ -50,8 +50,8 @@ _COMPILING_SLOWLY: Final = (
 _COMMON_OPTIONS: Final = {"nogil": True, "error_model": "numpy"}
 
 # Kernels owe their speed to private options and classes of numba, in the versions with which they were tested. With
-# any other version there are none: the results are the same, but compilation takes more than twice as long, and a step
-# of an environment up to eight times.
+# any other version, kernels do without them: the results are the same, but compilation takes more than twice as long,
+# and a step of an environment up to eight times.
 TESTED: Final = ("0.61.", "0.62.", "0.63.", "0.64.", "0.65.", "0.66.", "0.67.", "0.68.")
 IS_TESTED: Final = numba.__version__.startswith(TESTED)
 
@@ -127,8 +127,7 @@ class _WholeCompiler(_Compiler):  # type: ignore[misc]
 Options = Mapping[str, object]
 WHOLE: Options = {"pipeline_class": _WholeCompiler, "no_cfunc_wrapper": True}  # C calls no kernels
 IN_PLACE: Options = {**WHOLE, "_nrt": False}  # no counting of references to arrays
-# Python cannot call it
-INNER: Options = {**IN_PLACE, "pipeline_class": _PartCompiler, "no_cpython_wrapper": True}
+INNER: Options = {**IN_PLACE, "pipeline_class": _PartCompiler, "no_cpython_wrapper": True}  # Python cannot call it
 if not IS_TESTED:  # see `TESTED`
     WHOLE = IN_PLACE = INNER = {}
 

@@ -40,7 +40,7 @@ ALL = (
 def counted(env, ads, drawn, n, workers=0):
     """The outcomes of scenarios as they are counted."""
     with start_judge(Target(env, ads, unconfined=True, stochastic=drawn), workers) as judge:
-        assert judge.submit("counts", b"256").result()
+        assert judge.submit("can_count", b"256").result()
         return list(uniform_outcomes(judge, Simulation(env, ads).logical, n, 5))
 
 

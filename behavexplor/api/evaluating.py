@@ -51,11 +51,11 @@ def evaluate(  # noqa: PLR0913 - one argument for each choice
         env: see `behavexplor.find_failures`.
         scenarios: number of scenarios.
         seed: seed of the drawn scenarios.
-        goal: what is to be known of a rate; the evaluation ends as soon as it is, after at most `scenarios`.
+        goal: question about a rate. The evaluation ends as soon as it is answered, at the latest after `scenarios`.
         env_config: see `behavexplor.find_failures`.
         workers: see `behavexplor.find_failures`.
-        out: folder for the outcomes, a card, and the run `failures`; the same call goes on after an interruption. None
-            for none.
+        out: folder for the outcomes, a card, and the run `failures`; None to write nothing. The same call with it goes
+            on after an interruption.
         alpha: probability with which an interval of the card may miss its rate.
         observe: function that gets the number of finished scenarios.
         settings: further keys of the configuration that tell how to drive, see
@@ -91,10 +91,10 @@ def evaluate(  # noqa: PLR0913 - one argument for each choice
 
 
 def listed(policies: str | Path | Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return what `board` evaluates, by name.
+    """Return the settings of `evaluate` for each driver that `board` evaluates, by name.
 
     Raises:
-        InputError: if it is nothing, or the file cannot be used.
+        InputError: if there are none, or the file or an entry cannot be used.
     """
     if isinstance(policies, Mapping):
         found = dict(policies)
@@ -160,10 +160,10 @@ def board(
 def _page(cards: Sequence[Mapping[str, Any]], outcome: str, alpha: float) -> str:
     """Return the page that ranks drivers by their cards. Rates in different environments cannot be compared."""
     shown = list(dict.fromkeys((outcome, FAILED, AT_FAULT, SPECS[0].name, ARRIVED)))
-    rows, counted = [], Counter[str]()
+    rows, ranked = [], Counter[str]()  # number of ranked drivers by environment
     for card in sorted(cards, key=lambda card: (card["env"], card["rates"].get(outcome, {"rate": inf})["rate"])):
-        counted[card["env"]] += 1
-        rows.append({**card, "rank": counted[card["env"]]})
+        ranked[card["env"]] += 1
+        rows.append({**card, "rank": ranked[card["env"]]})
     heads = ["", "driver", *shown, "scenarios", "classes", "SHA-256"]
     values = {"rows": rows, "heads": heads, "shown": shown, "outcome": outcome, "alpha": alpha}
-    return rendered("board.html.jinja", ("theme.js", "board.js"), several=len(counted) > 1, **values)
+    return rendered("board.html.jinja", ("theme.js", "board.js"), several=len(ranked) > 1, **values)

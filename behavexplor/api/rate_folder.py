@@ -35,15 +35,16 @@ from behavexplor.report.rendering import filled
 from behavexplor.report.road_shapes import known_road
 from behavexplor.report.run_page import written
 
+# names in the folder
 OUTCOMES, FAILURES, SCENARIOS, CARD, PICTURE = "outcomes.jsonl", "failures", "failures.jsonl", "card", "card.png"
 MOST_STORED: Final = 1000  # failures that are driven again and kept with their traces
 CLAUSE: Final = "of the scenarios that {} draws in this configuration, which says nothing about roads"
 _BATCH: Final = 32
-_SUBJECT: Final = ("env", "ads", "seed", *OF_EPISODES)
+_SUBJECT: Final = ("env", "ads", "seed", *OF_EPISODES)  # keys of the configuration that decide the outcomes
 
 
 class RateFolder:
-    """The folder of an evaluation, new or that of the same evaluation, which then goes on.
+    """The folder of an evaluation: a new one, or one in which the same evaluation goes on.
 
     The configuration says the driver, its environment and the seed of the scenarios. `run` is the run folder of the
     failures, if there are any.
@@ -97,19 +98,19 @@ class RateFolder:
         Raises:
             InputError: if it cannot be written.
         """
-        own, counted = next(iter(found.values())), (self.run / CONFIG).is_file()
-        classes = summarize(self.run).classes if counted else ()
+        own = next(iter(found.values()))
+        outcomes = dict.fromkeys((*own.counts, FAILED, AT_FAULT, ERROR))
+        has_failures = (self.run / CONFIG).is_file()
+        classes = summarize(self.run).classes if has_failures else ()
         card = {
             "scenarios": own.n,
             "alpha": alpha,
-            "rates": {
-                outcome: _rate(own, outcome, alpha) for outcome in dict.fromkeys((*own.counts, FAILED, AT_FAULT, ERROR))
-            },
+            "rates": {outcome: _rate(own, outcome, alpha) for outcome in outcomes},
             "decision": own.decision and {**asdict(own.decision), "words": own.decision.words},
             "beside": {name: {"scenarios": one.n, **one.counts} for name, one in list(found.items())[1:]},
             "clause": CLAUSE.format(self._config.env),
             "classes": [{"class": one.id, "words": one.words, "failures": one.count} for one in classes],
-            "hardest": self._hardest() if counted else None,
+            "hardest": self._hardest() if has_failures else None,
             **self._subject,
             **self._driver,
         }
@@ -139,7 +140,7 @@ class RateFolder:
 
 
 def impact(trace: Trace) -> float:
-    """Return the speed between the ego and what it touches in the last frame, in the frame before [m/s]."""
+    """Return the speed of the ego relative to what it touches in the last frame, one frame earlier [m/s]."""
     npc, velocity = touched_npc(trace), trace.velocity[max(len(trace.time) - 2, 0)]
     return float(np.linalg.norm(velocity[0] - (0.0 if npc is None else velocity[npc])))
 

@@ -1,4 +1,4 @@
-"""A run as an object, with its records, failures and classes, and methods for all that can be done with them."""
+"""A run as an object, with methods for all that can be done with it; and an execution's environment and replay."""
 
 import base64
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -44,6 +44,11 @@ from behavexplor.triage.findings import Minimized, Triage
 from behavexplor.triage.minimization import RunMinimization
 from behavexplor.triage.run_triage import RunTriage
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SUFFIXES: Final = (".gif", ".png")  # of files that a replay is saved as
+
 
 class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
     """The environment in which a scenario was executed, as the driver saw it. Each `reset` begins the scenario.
@@ -72,12 +77,6 @@ class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
         if self._driver is None:
             raise InputError("The episode has not begun: call reset first")
         return self._driver(observation)
-
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-_SUFFIXES: Final = (".gif", ".png")
 
 
 class Replay:
@@ -172,7 +171,7 @@ class Run:
         return stored_config(self.folder).says
 
     def _accepted(self, runs: Collection[str] = DRIVING, *, goes_on: bool = False) -> CampaignConfig:
-        """Return the configuration by which something may be executed that runs the code of these keys."""
+        """Return the configuration, after a check that the code that it names by the keys `runs` may be run."""
         given = self._given
         consent = replace(self._consent, names=(given.name,) if given.is_named or given.driver is not None else ())
         return accepted_run(self.folder, consent, runs, goes_on=goes_on)
@@ -256,8 +255,8 @@ class Run:
         Raises:
             InputError: if there is no execution of that number, or the driver cannot be loaded.
         """
-        made, scenario = simulation_of(self._accepted().target, self._given.driver, render_mode), self.scenario(number)
-        return Episode(made, scenario)
+        simulation = simulation_of(self._accepted().target, self._given.driver, render_mode)
+        return Episode(simulation, self.scenario(number))
 
     def violated(self, trace: Trace) -> tuple[str, ...]:
         """Return the names of the run's requirements that a trace violates, the most severe one first.

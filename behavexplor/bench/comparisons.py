@@ -1,4 +1,4 @@
-"""The comparisons of an experiment's methods: their tables, and curves of what they find over the executions."""
+"""The comparisons of an experiment's methods: tables, campaigns in equal time, and curves of what they find."""
 
 import io
 import math
@@ -28,12 +28,14 @@ from behavexplor.data.csv_text import csv_text
 
 _AT_FAULT: Final[tuple[str, str, Figure]] = ("at-fault", "failures at fault", Summary.at_fault)
 UNDECIDED: Final = "undecided"
-_TOLD: Final = (
+POINTS: Final = 50  # approximate number of points of a curve
+_CURVE_COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", "low", "high")
+_HEADLINE_NOTE: Final = (
     "Means of the campaigns, also of the method that names a column. A12: probability that a campaign of the first "
     f"method finds more. Verdict: two-sided Mann-Whitney U test with Holm's correction, level {LEVEL:g}; undecided: "
     "not distinguishable."
 )
-Sample = tuple[str, str, str, str, list[float], list[float]]
+Sample = tuple[str, str, str, str, list[float], list[float]]  # environment, ADS, two methods and the values of each
 
 
 def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
@@ -105,17 +107,17 @@ def headline(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table
     if not found:
         return []
     compared = compare([sample[4:] for sample in found])
-    shown = 0 if experiment.baseline else 1  # which one of a pair differs between the rows
+    differing = 0 if experiment.baseline else 1  # which method of a pair differs between the rows
     rows = []
     for (*place, one, other, _, _), c in zip(found, compared, strict=True):
-        verdict = UNDECIDED if c.corrected >= LEVEL else c.verdict
-        rows.append((" ".join(place_cells(experiment, *place)), (one, other)[shown], *c.means, c.effect, verdict))
+        scenario, method = " ".join(place_cells(experiment, *place)), (one, other)[differing]
+        rows.append((scenario, method, *c.means, c.effect, UNDECIDED if c.corrected >= LEVEL else c.verdict))
     places = [row[0] for row in rows]
     blocks = tuple(places.count(place) for place in dict.fromkeys(places))
-    names = ["Scenario", ("Method", "Against")[shown], "Mean", "Mean", "A12", "Verdict"]
-    names[3 - shown] = pairs[0][1 - shown]
+    names = ["Scenario", ("Method", "Against")[differing], "Mean", "Mean", "A12", "Verdict"]
+    names[3 - differing] = pairs[0][1 - differing]  # the other method of the pairs has one column for its means
     heads = tuple(Column(name, digits=2 if name == "A12" else 1) for name in names)
-    notes = [_TOLD]
+    notes = [_HEADLINE_NOTE]
     for one, other in pairs:
         said = [
             c.verdict.partition(",")[0]
@@ -168,20 +170,10 @@ def _together(
 def _compared(name: str, title: str, experiment: Experiment, found: Sequence[Sample]) -> Table:
     """Return a table of comparisons, which form one family for the correction."""
     compared = compare([(first, second) for *_, first, second in found])
-    rows: list[tuple[Value, ...]] = [
-        (
-            *place_cells(experiment, env, ads),
-            one,
-            other,
-            *c.n,
-            *c.means,
-            c.effect,
-            p_text(c.p),
-            p_text(c.corrected),
-            c.verdict,
-        )
-        for (env, ads, one, other, _, _), c in zip(found, compared, strict=True)
-    ]
+    rows: list[tuple[Value, ...]] = []
+    for (env, ads, one, other, _, _), c in zip(found, compared, strict=True):
+        ps = p_text(c.p), p_text(c.corrected)
+        rows.append((*place_cells(experiment, env, ads), one, other, *c.n, *c.means, c.effect, *ps, c.verdict))
     places = [sample[:2] for sample in found]
     blocks = tuple(places.count(place) for place in dict.fromkeys(places))
     heads = (*place_columns(experiment), Column("Method"), Column("Against"), Column("n"), Column("m"))
@@ -228,11 +220,6 @@ def in_equal_time(experiment: Experiment, summaries: Sequence[Summary]) -> Equal
     return EqualTime(tuple(cut), notes)
 
 
-POINTS: Final = 50  # approximate number of points of a curve
-
-_COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", "low", "high")
-
-
 @dataclass(frozen=True)
 class Curve:
     """The mean over campaigns of a count of findings, by number of executions."""
@@ -270,7 +257,7 @@ def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
 
 def curves_csv(found: Sequence[Curve]) -> str:
     """Return the curves as CSV, with a row for each point."""
-    rows: list[tuple[object, ...]] = [_COLUMNS]
+    rows: list[tuple[object, ...]] = [_CURVE_COLUMNS]
     for curve in found:
         for count, point in zip(curve.executions, curve.found, strict=True):
             ends = ("" if math.isnan(end) else round(end, 6) for end in (point.low, point.high))

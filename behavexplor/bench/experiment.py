@@ -26,8 +26,8 @@ class MethodChoice:
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    method: str = "behavexplor"
-    options: dict[str, Any] = field(default_factory=dict)
+    method: str = "behavexplor"  # as in a campaign's `method`
+    options: dict[str, Any] = field(default_factory=dict)  # options of the method
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Experiment(Conditions):
     def to_yaml(self) -> str:
         """Return the whole experiment as YAML, with the options of its methods."""
         values = asdict(self)
-        values |= {one.name: values.pop(one.name) for one in fields(Conditions)}  # after what is the experiment's own
+        values |= {one.name: values.pop(one.name) for one in fields(Conditions)}  # after the experiment's own keys
         values |= {key: list(values[key]) for key in ("trust", "specs")}
         values["ads"] = {env: list(systems) for env, systems in self.ads.items()}
         values["groups"] = {name: list(members) for name, members in self.groups.items()}

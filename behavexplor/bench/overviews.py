@@ -1,4 +1,4 @@
-"""Compact tables with a row for each method and a column for each scenario."""
+"""Tables with a row for each method: overviews with a column for each scenario, mutations, correlations, forecasts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -26,11 +26,11 @@ from behavexplor.judge.discovery import Discovery
 Pair = tuple[str, str, str, str]  # environment, ADS, and two methods
 EARLY: Final = 0.1  # share of a campaign before its forecast
 NEXT: Final = 0.1  # number of executions in which new classes are counted, as a share of those before the forecast
-LEAST: Final = 50  # fewer executions tell nothing about the classes that are left
-_COLUMNS = tuple(
+LEAST: Final = 50  # executions before a forecast; fewer tell nothing about the classes that are left
+_FORECAST_COLUMNS = tuple(
     map(Column, ("n", "After", "Classes", "Chance %", "Then new %", "Total, forecast", "Total, found", "Within"))
 )
-_MEANING = (
+_FORECAST_NOTES = (
     "Chance %: forecast probability that the next execution shows a new class (Good-Turing). Then new %: new classes "
     "in the executions that followed, a tenth as many as before, in per cent of these executions.",
     "Within: number of forecasts whose 95 % interval contains the total found. Chao1 is a lower bound on average.",
@@ -57,7 +57,7 @@ def overviews(experiment: Experiment, summaries: Sequence[Summary], cut: EqualTi
     return [*means, *effects]
 
 
-def _columns(experiment: Experiment, *, best: bool) -> tuple[Column, ...]:
+def _scenario_columns(experiment: Experiment, *, best: bool) -> tuple[Column, ...]:
     names = [" ".join(place_cells(experiment, *place)) for place in experiment.places]
     return (Column("Method"), *(Column(name, interval=True, best=best) for name in names))
 
@@ -77,7 +77,7 @@ def _means(key: str, title: str, figure: Figure, experiment: Experiment, summari
         f"Means over {_range(counts)} campaigns of {most}{experiment.budget} executions, with the 95 % interval in "
         "brackets (Student's t).",
     )
-    heads = _columns(experiment, best=True)
+    heads = _scenario_columns(experiment, best=True)
     return Table(f"overview-{key}", title, heads, tuple(rows), (len(rows),), notes)
 
 
@@ -100,7 +100,7 @@ def _effects(
     found = [_compared(experiment, summaries, pairs, figure) for _, _, figure in figures]
     rows: list[tuple[Value, ...]] = []
     for one, other in pairs:
-        cells = [_cell(found, (*place, one, other)) for place in experiment.places]
+        cells = [_effect_cell(found, (*place, one, other)) for place in experiment.places]
         if any(cells):
             rows.append((other if one == name else one, *cells))
     finds = (
@@ -112,7 +112,7 @@ def _effects(
         f"*: significant at {LEVEL:g} by a two-sided Mann-Whitney U test, with Holm's correction over the comparisons "
         "of the same figure.",
     )
-    heads = _columns(experiment, best=False)
+    heads = _scenario_columns(experiment, best=False)
     return Table(f"effects-{slug(name).lower()}", f"Effect sizes: {title}", heads, tuple(rows), (len(rows),), notes)
 
 
@@ -125,7 +125,7 @@ def _compared(
     return {sample[:4]: one for sample, one in zip(found, compared, strict=True)}
 
 
-def _cell(found: Sequence[Mapping[Pair, SampleComparison]], pair: Pair) -> str:
+def _effect_cell(found: Sequence[Mapping[Pair, SampleComparison]], pair: Pair) -> str:
     """Return the effect sizes of all figures as text; empty if the pair was not compared."""
     known = [each[pair] for each in found if pair in each]
     return " / ".join(f"{one.effect:.2f}{'*' if one.corrected < LEVEL else ''}" for one in known)
@@ -206,11 +206,15 @@ def forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
         "Question: can the estimates of what is left to find be trusted?",
         f"After: number of executions, {EARLY:.0%} of a campaign. Classes: those found until then. Total: forecast of "
         "all classes that there are (Chao1), and number found by the whole campaign.",
-        *_MEANING,
+        *_FORECAST_NOTES,
         "The estimates are for independent executions, as uniform sampling makes them.",
     )
-    table = Table("forecasts", "Forecasts of classes after a tenth of a campaign", _COLUMNS, notes=notes)
-    return table_by_method(table, experiment, summaries, lambda found: _cells(list(map(_within, found))))
+    table = Table("forecasts", "Forecasts of classes after a tenth of a campaign", _FORECAST_COLUMNS, notes=notes)
+
+    def cells(found: Sequence[Summary]) -> tuple[Value, ...]:
+        return _forecast_cells([_after_a_tenth(summary) for summary in found])
+
+    return table_by_method(table, experiment, summaries, cells)
 
 
 def pooled_forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
@@ -219,15 +223,16 @@ def pooled_forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Ta
         "Question: do the estimates of one campaign foretell what all campaigns find together?",
         "After: number of executions of a campaign. Classes: those found in it. Total: forecast of all classes that "
         "there are (Chao1), and number found by the n campaigns of the method together.",
-        *_MEANING,
+        *_FORECAST_NOTES,
         "Only for uniform sampling are further campaigns the same as further executions of one campaign. A guided "
         "search begins anew in each.",
     )
-    table = Table("forecasts-pooled", "Forecasts of classes after a campaign, and all campaigns", _COLUMNS, notes=notes)
-    return table_by_method(table, experiment, summaries, lambda found: _cells(_across(found)))
+    title = "Forecasts of classes after a campaign, and all campaigns"
+    table = Table("forecasts-pooled", title, _FORECAST_COLUMNS, notes=notes)
+    return table_by_method(table, experiment, summaries, lambda found: _forecast_cells(_after_each(found)))
 
 
-def _within(summary: Summary) -> Forecast:
+def _after_a_tenth(summary: Summary) -> Forecast:
     """Return the forecast after a tenth of a campaign."""
     early = summary.first(round(EARLY * summary.executions)).discovery
     more = _following(early)
@@ -235,7 +240,7 @@ def _within(summary: Summary) -> Forecast:
     return Forecast(early, new / more, len(summary.kinds()))
 
 
-def _across(found: Sequence[Summary]) -> list[Forecast]:
+def _after_each(found: Sequence[Summary]) -> list[Forecast]:
     """Return the forecast after each of several campaigns. The next campaign has the executions that follow."""
     total = len(frozenset[str]().union(*(summary.kinds() for summary in found)))
     made = []
@@ -250,7 +255,7 @@ def _following(early: Discovery) -> int:
     return max(round(NEXT * early.executions), 1)
 
 
-def _cells(made: Sequence[Forecast]) -> tuple[Value, ...]:
+def _forecast_cells(made: Sequence[Forecast]) -> tuple[Value, ...]:
     """Return the cells on some forecasts; none if all were made too early."""
     found = [one for one in made if one.early.executions >= LEAST]
     if not found:

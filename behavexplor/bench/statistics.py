@@ -1,11 +1,11 @@
 """Means over campaigns with confidence intervals, and statistical comparisons of two search methods.
 
-Intervals of a driver's failure rate are in `behavexplor.judge.rates`, those of the difference of two drivers in
-`behavexplor.repair.pairs`.
-
 The Mann-Whitney U test shows whether two methods differ, and Vargha and Delaney's A12 is the size of the difference.
 Van Elteren's test does so for several scenarios together. Holm's correction accounts for the number of comparisons in a
 table.
+
+Intervals of a driver's failure rate are in `behavexplor.judge.rates`, those of the difference of two drivers in
+`behavexplor.repair.pairs`.
 """
 
 import math
@@ -38,7 +38,7 @@ def estimate(values: Sequence[float], least: float = 0.0) -> Estimate:
     """Return the mean of values, none of which can be below `least`, with its Student's t interval.
 
     The interval is cut at `least`, which does not change how often it holds. A percentile bootstrap would need no cut,
-    but holds less often with few campaigns: of five overdispersed counts with a mean of 2, in 83 % of 2000 draws,
+    but holds less often with few campaigns: for five overdispersed counts with a mean of 2, in 83 % of 2000 draws,
     where Student's t holds in 90 %.
     """
     n, mean = len(values), float(np.mean(values))

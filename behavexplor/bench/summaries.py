@@ -106,10 +106,9 @@ class Summary:
         return sum(label in (None, failure.label) for failure in self.failures)
 
     def kinds(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
-        """Return the unique violations, the classes of the failures.
+        """Return the unique violations: the classes of the failures with this label, before the execution `before`.
 
-        None counts all. A label counts the failures that have it, and `before` those before the execution of that
-        number.
+        None stands for all failures.
         """
         return frozenset(
             failure.kind

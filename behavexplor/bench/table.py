@@ -1,4 +1,4 @@
-"""A table of an experiment as values, and what the makers of tables share."""
+"""A table of an experiment as values, its text as CSV and Markdown, and what the makers of tables share."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from behavexplor.data.csv_text import csv_text
 Value = str | int | float | Estimate | None
 Figure = Callable[[Summary], float]
 Group = tuple[str, str, str]  # environment, ADS, method
-Cells = Callable[[Sequence[Summary]], tuple[Value, ...]]
+Cells = Callable[[Sequence[Summary]], tuple[Value, ...]]  # makes cells of a row from campaigns; none for no row
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ def table_by_method(
 ) -> Table:
     """Return a table with a row for each method in each environment, by default for all methods.
 
-    The given table has the name, title, notes and further columns. `cells` makes a row of a method's campaigns in an
-    environment, or none.
+    The given table has the name, title, notes and further columns. `cells` makes the cells in these columns from the
+    campaigns of a method in an environment, or returns none if they have no row.
     """
     rows: list[tuple[Value, ...]] = []
     blocks = []

@@ -57,7 +57,10 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
 def violations(
     name: str, title: str, experiment: Experiment, summaries: Sequence[Summary], methods: Sequence[str]
 ) -> Table:
-    """Return the table of total and unique violations by spec, means over the seeds (the paper's RQ1, RQ2 and RQ3)."""
+    """Return the table of total and unique violations by spec, means over the seeds (the paper's RQ1, RQ2 and RQ3).
+
+    Without `methods`, it has all methods of the experiment.
+    """
     columns = [*_found(summaries), (Column("Novel %"), novelty)]
     notes = (
         "Question: how many failures does each method find, and of how many kinds? (RQ1 of the paper for different "
@@ -120,10 +123,7 @@ def _means(
     columns: Sequence[tuple[Column, Figure]],
     methods: Sequence[str] = (),
 ) -> Table:
-    """Return a table with a row for each method in each environment, and the means of the figures in its columns.
-
-    The methods are all of the experiment if none is given.
-    """
+    """Return a table with the means of the figures in its columns; see `table_by_method` for its rows."""
 
     def cells(found: Sequence[Summary]) -> tuple[Value, ...]:
         return (len(found), *(mean(found, figure) for _, figure in columns))

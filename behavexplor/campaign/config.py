@@ -19,10 +19,11 @@ from behavexplor.data.untrusted import parse_yaml, read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief, unknown_name
 
-REVISION: Final = 3  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ. 3: the
-# records of failures in highway-env's environments are the compiled engine's, and its vehicles are whole blocks.
+# See `CampaignConfig.revision`; raise it with every change after which campaigns differ. Since 3, in highway-env's
+# environments, records of failures are the compiled engine's, and all draws of a vehicle are one block.
+REVISION: Final = 3
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
-RUNS: Final = Path("runs")  # their parent folder
+RUNS: Final = Path("runs")  # parent folder of run folders that were given no name
 LATEST: Final = "latest"  # in it, a link to the run that began or went on last
 _LONGEST: Final = 40  # part of the name of a run folder [characters]
 
@@ -95,7 +96,7 @@ class CampaignConfig(Target):
         """Return what the configuration states, as values by key: first what drives where, last the conditions."""
         names = [one.name for one in fields(CampaignConfig)]  # without those of derived classes
         conditions = [one.name for one in fields(Conditions)]
-        return {name: getattr(self, name) for name in sorted(names, key=conditions.__contains__)}
+        return {name: getattr(self, name) for name in sorted(names, key=lambda name: name in conditions)}
 
     def to_yaml(self) -> str:
         """Return the whole configuration as YAML, which reproduces the campaign when it is read from a file.

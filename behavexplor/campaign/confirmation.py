@@ -24,7 +24,7 @@ from behavexplor.errors import sentence
 
 FOLDER: Final = "confirmations"  # in a run folder
 OF_EACH_CLASS: Final = 3  # failures that are confirmed without being asked for
-TOLERANCE: Final = 0.1  # [m], of two equal motions: a difference in the last bit grows in traffic that reacts
+TOLERANCE: Final = 0.1  # between motions that count as equal [m]: the last bits' differences grow in reacting traffic
 _LONGEST: Final = 10_000  # [bytes]
 _ENDED: Final = ("hang", "crash")  # kinds of errors that end a process, and say nothing of an engine
 

@@ -34,7 +34,7 @@ _INSERT = (
 class Row:
     """A row of the database: one stored execution."""
 
-    id: int
+    id: int  # number of the execution
     record: bytes  # record as JSON
     trace: bytes  # trace as bytes; empty if it was not read
     elapsed: float  # running time of the campaign up to the execution [s]
@@ -125,8 +125,8 @@ class ExecutionTable:
     def rows(self, *, traces: bool) -> Iterator[tuple[int, Row | None]]:
         """Yield all numbers in order, each with its row, or with None for a damaged or missing row.
 
-        If the number of rows is unknown, the last number is that of the first row that is lost at the end. Rows have
-        traces if these are to be read.
+        If the number of rows is unknown, the last number is that of the first row that is lost at the end. Without
+        `traces`, the traces of the rows are empty.
         """
         lost: list[int] = []
         for number, found in self._found(_WHOLE if traces else _BRIEF):

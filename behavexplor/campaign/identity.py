@@ -17,7 +17,7 @@ class Identity:
 
     digests: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of the files of policy and named code, by name
     libraries: Mapping[str, str] = field(default_factory=dict)  # versions of libraries that compute results, by name
-    folder: str = ""  # working directory when the campaign began, from which the path of a policy is meant
+    folder: str = ""  # working directory when the campaign began, to which the path of a policy is relative
 
     @classmethod
     def from_json(cls, text: bytes) -> Self | None:

@@ -25,10 +25,10 @@ _ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # memory address of an object, which d
 class Judgment:
     """An execution with its judgment."""
 
-    data: bytes
+    data: bytes  # the trace as bytes
     trace: Trace
     result: Result
-    members: Sequence[str]  # of a record: those that tell the result, see `Record.members_around`
+    members: Sequence[str]  # the members of a record's JSON that tell the result, see `Record.members_around`
     scenario: str | None = None  # the scenario as JSON, if a judge has drawn it again
 
 
@@ -139,9 +139,10 @@ def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Itera
 
 
 def confirmation(executor: Executor, execution: Execution, original: "Future[bytes] | None" = None) -> Confirmation:
-    """Compare an execution with that of highway-env; if they differ, also with one more of the kind that it was.
+    """Compare a recorded execution with one in highway-env; if they differ, also with another one in the engine.
 
-    `original` is its execution in highway-env, if that has begun.
+    The latter tells a driver or environment that does not do the same twice from an error of this package. `original`
+    is the execution in highway-env, if that has begun.
     """
     original = original or executor.submit(ORIGINAL, execution.scenario.to_json().encode())
     recorded = execution.record.error or execution.load_trace()
@@ -151,9 +152,8 @@ def confirmation(executor: Executor, execution: Execution, original: "Future[byt
     again = executor.submit(EXECUTE, execution.scenario.to_json().encode())
     if difference(recorded, _outcome(again)) is None:
         return Confirmation("disagrees", f"the compiled engine and highway-env disagree: {apart}")
-    return Confirmation(
-        "changes", "the driver or the environment goes on otherwise in the same scenario, by chance or by memory"
-    )
+    words = "the driver or the environment goes on otherwise in the same scenario, by chance or by memory"
+    return Confirmation("changes", words)
 
 
 def _outcome(future: "Future[bytes]") -> Trace | dict[str, str]:

@@ -61,7 +61,8 @@ def opened(
 ) -> Iterator[Ready]:
     """Prepare a campaign, and release its resources afterwards.
 
-    The folder is this machine's from then on: a new one at once, and a resumed one when what it has came out again.
+    From then on, the folder counts as one that this machine has made, see `behavexplor.campaign.provenance`: a new one
+    at once, and a resumed one after its stored executions have come out again.
 
     Args:
         config: configuration of the campaign.
@@ -137,7 +138,7 @@ def _judges(config: CampaignConfig, workers: int, logical: LogicalScenario) -> J
 
 
 def _warnings_of_idle_workers(config: CampaignConfig, workers: int) -> list[str]:
-    """Return a warning about workers to which the batch gives nothing to do; none if there are none."""
+    """Return a warning about workers to which the batch gives nothing to do, in a list; empty without such workers."""
     if workers <= config.batch or _foresees(config):
         return []
     idle = f"{workers - config.batch} of {workers} workers have nothing to do"

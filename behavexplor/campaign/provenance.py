@@ -35,7 +35,7 @@ JUDGED: Final = DRIVING | {SPECS}
 ALL: Final = JUDGED | {METHOD}
 _IN_WORKERS: Final = JUDGED  # what a process imports that executes scenarios
 _HERE: Final = ALL - {ADS}  # what this process imports
-NAME: Final = "own-folders"
+NAME: Final = "own-folders"  # file with the list of the digests of folders that this machine has made
 _FLAGS: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 
 
@@ -67,7 +67,7 @@ class Claim:
     hint: str = ""  # another way to agree, for the message
 
     def digests(self, *parts: Sequence[Code]) -> tuple[dict[str, str], list[str]]:
-        """Return the digests of all modules, and for each part of the code that of the folder with this part."""
+        """Return the digests of all modules; and for each part of the code, that of the folder with this code only."""
         modules = digests_of(one.module for one in self.code)
         files = files_of_model(self.policy)
         read = [(path.name, hashlib.sha256(read_file(path, MAX_BYTES)).hexdigest()) for path in files]
@@ -102,7 +102,7 @@ def digest_of(values: Mapping[str, Any], modules: Mapping[str, str], policy: Seq
 
 
 def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = ALL) -> Permission:
-    """Check that what a folder names may be run, and import what this process needs of it: the code of the keys `runs`.
+    """Check that the code that a folder names by the keys `runs` may be run, and import what this process needs of it.
 
     Raises:
         InputError: if something would be run that the user has not agreed to; the message says what, and how to agree.

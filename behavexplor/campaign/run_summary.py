@@ -138,7 +138,7 @@ def by_class(records: Iterable[Record]) -> dict[str, list[Record]]:
 
 
 def words_of_others_faults(count: int) -> str:
-    """Return how many failures were another vehicle's fault, in words. Of the others, `triage` tells it."""
+    """Return how many failures were another vehicle's fault, in words. `triage` tells whose fault the others were."""
     return f"; {count} of the failures by another vehicle's fault" if count else ""
 
 

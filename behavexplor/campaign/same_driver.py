@@ -1,4 +1,4 @@
-"""Comparison of a campaign's driver with the one that it had when it began, and a run's configuration after that."""
+"""Whether a campaign's driver is the one with which it began, and the configuration by which a run is then executed."""
 
 import hashlib
 import warnings
@@ -63,7 +63,7 @@ def check_identity(store: Store, now: Identity) -> None:
 
 
 def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on: bool = False) -> AcceptedConfig:
-    """Return the configuration of a run, by which something may be executed. Its policy is found from any folder.
+    """Return the configuration of a run, by which something may be executed. The working directory may have changed.
 
     A warning is issued if the driver is not the one with which the run began, and a campaign that `goes_on` is refused.
     `runs` are keys of the code that would be run, see `behavexplor.campaign.provenance.accepted`.
@@ -100,8 +100,9 @@ def _known(run: Path) -> Identity | None:
 def _explained(refusal: InputError, run: Path, config: CampaignConfig, *, goes_on: bool) -> InputError:
     """Return the refusal to run a folder's code, with the modules that have changed since the run began."""
     code = code_of(config.env, config.ads, config.method, config.specs, config.env_config)
-    begun, now = _known(run), {f"{MODULE}{name}": one for name, one in digests_of(one.module for one in code).items()}
-    known = {} if begun is None else {name: one for name, one in begun.digests.items() if name in now}
+    now = {f"{MODULE}{name}": digest for name, digest in digests_of(one.module for one in code).items()}
+    begun = _known(run)
+    known = {} if begun is None else {name: digest for name, digest in begun.digests.items() if name in now}
     changed = changes(known, {name: now[name] for name in known})
     if not changed:
         return refusal

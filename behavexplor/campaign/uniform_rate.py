@@ -15,8 +15,8 @@ from behavexplor.data.untrusted import parse_json
 from behavexplor.judge.discovery import INDEPENDENT
 from behavexplor.judge.rates import clopper_pearson
 
-MOST: Final = 200  # scenarios
-SHARE: Final = 4  # at most this part of as many as the campaign has executed: a fourth
+MOST: Final = 200  # greatest number of scenarios
+SHARE: Final = 4  # executions of the campaign for each of these scenarios, at least
 _NOTE: Final = "uniform"  # in the store
 
 
@@ -24,7 +24,7 @@ _NOTE: Final = "uniform"  # in the store
 class UniformRate:
     """How many of some uniformly drawn scenarios failed."""
 
-    n: int
+    n: int  # number of scenarios
     failed: int  # number of those that failed
 
     @property

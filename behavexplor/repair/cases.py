@@ -1,9 +1,9 @@
-"""Suites and their cases as plain data: a folder with `suite.yaml` and one YAML file for each case."""
+"""Suites and their cases as plain data, a folder with YAML files; and how failures of runs become cases."""
 
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -58,7 +58,7 @@ def drive():
 def test_scenario(case, drive):
     outcome = drive(case)
     assert outcome.passed, outcome.words
-'''  # without any name that a run gives: it is code
+'''  # it is code, so it has no name that a run gives
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +110,10 @@ class Suite:
     cases: tuple[Case, ...] = ()  # the cases in the order of their names
 
     def target(self, ads: str, **settings: Any) -> CheckedTarget:
-        """Return the target that drives the cases with a driver; the settings are further fields of the target."""
+        """Return the target that drives the cases with a driver.
+
+        The settings are further fields of the target. For the driver that failed, the suite says what they do not.
+        """
         config = dict(self.env_config)
         if self.cases:
             config |= min(self.cases, key=lambda case: case.name).load_scenario().scene_config
@@ -144,9 +147,7 @@ class Suite:
         for path, case in zip(paths, cases, strict=True):
             _check(path, case)
         driver = folder / suite.driver
-        return cls(
-            **{**asdict(suite), "driver": str(driver) if driver.exists() else suite.driver, "cases": tuple(cases)}
-        )
+        return replace(suite, driver=str(driver) if driver.exists() else suite.driver, cases=tuple(cases))
 
     @property
     def claim(self) -> Claim:
@@ -179,7 +180,8 @@ class Suite:
                 "traffic": self.traffic,
             }
             values |= self._own_settings()
-            values |= {"digests": digests} if (digests := driver_digests(self.driver, self.claim.code)) else {}
+            if digests := driver_digests(self.driver, self.claim.code):
+                values["digests"] = digests
             config = {"env_config": dict(self.env_config)} if self.env_config else {}
             write_durably(folder / SUITE, _yaml({"format": SUITE_FORMAT, **values, **config}))
         except OSError as error:

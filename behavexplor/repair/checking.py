@@ -46,7 +46,12 @@ class Checker:
         self._specs = specs
 
     def __call__(self, case: Case) -> CheckedCase:
-        """Drive one case."""
+        """Drive one case.
+
+        Raises:
+            InputError: if its scenario does not belong to the environment.
+            RuntimeError: if it could not be executed.
+        """
         return self._outcome(case, self._begun(case))
 
     def all_of(self, cases: Sequence[Case]) -> Iterator[CheckedCase]:
@@ -83,9 +88,10 @@ def _check_names(suite: Suite, known: Sequence[str]) -> None:
 def opened_driver(
     suite: Suite, ads: str | None, workers: int = 1, trust: Sequence[str] = (), **settings: Any
 ) -> Iterator[Checker]:
-    """Load a driver, and return what drives the cases of a suite with it. With 0 `workers`, this process does.
+    """Load a driver, and return what drives the cases of a suite with it.
 
-    The settings are further fields of the `behavexplor.data.target.Target`.
+    `ads` is its name, None for that of the suite. With 0 `workers`, this process drives. `trust` has digests of what
+    may run code. The settings are further fields of the `behavexplor.data.target.Target`.
 
     Raises:
         InputError: if the suite names code that the user has not agreed to, the driver cannot be loaded or does not fit

@@ -1,4 +1,8 @@
-"""The campaigns of a comparison: both drivers in the same scenarios, each in a run folder of its own."""
+"""The campaigns of a comparison of two drivers, and the search for scenarios in which only one of them fails.
+
+In a comparison, both drive the same scenarios, each in a run folder of its own. Any search method searches for
+differences: its requirements are "the first driver does not fail alone" and "the second driver does not fail alone".
+"""
 
 import json
 from collections import deque
@@ -30,17 +34,17 @@ from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import Spec, Verdict, judge
 from behavexplor.repair.pairs import Pairs, paired
 
-ONLY_FIRST, ONLY_SECOND = "only-first-fails", "only-second-fails"
+ONLY_FIRST, ONLY_SECOND = "only-first-fails", "only-second-fails"  # requirements of a search for differences
 BOTH_FAIL: Final = 1.0  # degree of a scenario in which both drivers fail [m], as if one of them nearly failed
 FIRST, SECOND, PAGE = "first", "second", "comparison.html"  # run folders and page of a comparison
 SETTINGS: Mapping[str, Any] = {"method": "uniform", "batch": 32}  # of both campaigns
 DIFFERENCES = "differences.jsonl"
-_FIRST_LOOK: Final = 250  # scenarios
+_FIRST_LOOK: Final = 250  # scenarios before the first look, see `looks`
 Observe = Callable[[int], None]
 
 
-class Driven(NamedTuple):
-    """A driver of a differential search."""
+class LoadedDriver(NamedTuple):
+    """One of the two drivers of a search for differences."""
 
     executor: Executor
     logical: LogicalScenario
@@ -57,13 +61,13 @@ class Difference:
 
 def search_differences(
     method: SearchMethod,
-    first: Driven,
-    second: Driven,
+    first: LoadedDriver,
+    second: LoadedDriver,
     specs: Sequence[Spec],
     *,
     budget: int,
     batch: int,
-    observe: Callable[[int], None],
+    observe: Observe,
 ) -> list[Difference]:
     """Search for scenarios in which one driver fails and the other does not.
 
@@ -109,11 +113,11 @@ def _degree(fails: Verdict, holds: Verdict) -> float:
     return nearest + (BOTH_FAIL if holds.failed else 0.0)
 
 
-def _submitted(driven: Driven, candidate: Candidate) -> "Future[bytes]":
-    return driven.executor.submit(EXECUTE, driven.logical.adopted(candidate.scenario).to_json().encode())
+def _submitted(driver: LoadedDriver, candidate: Candidate) -> "Future[bytes]":
+    return driver.executor.submit(EXECUTE, driver.logical.adopted(candidate.scenario).to_json().encode())
 
 
-def _result(first: Driven, scenario: Scenario, future: "Future[bytes]") -> tuple[Trace, bool]:
+def _result(first: LoadedDriver, scenario: Scenario, future: "Future[bytes]") -> tuple[Trace, bool]:
     """Return the trace of an execution, and whether the ADS failed instead of driving."""
     try:
         return Trace.from_bytes(future.result()), False
@@ -130,7 +134,7 @@ def verdict_at_fault(trace: Trace, is_error: bool, specs: Sequence[Spec]) -> Ver
 
 
 def looks(n: int, margin: float | None) -> Iterator[int]:
-    """Yield the numbers of scenarios after which a comparison looks whether it is decided: all n without a margin."""
+    """Yield the numbers of scenarios after which a comparison looks whether it is decided; only n without a margin."""
     count = n if margin is None else _FIRST_LOOK
     while count < n:
         yield count
@@ -141,7 +145,7 @@ def looks(n: int, margin: float | None) -> Iterator[int]:
 def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe, *, resume: bool = False) -> list[str]:
     """Run one of the two campaigns, or go on with it, and return warnings about the driver.
 
-    0 `workers` use this process. `observe` gets the number of executions so far.
+    With 0 `workers`, this process drives. `observe` gets the number of executions so far.
 
     Raises:
         InputError: if the driver, the environment or the folder cannot be used.
@@ -178,7 +182,7 @@ def check_search(config: CampaignConfig) -> None:
         InputError: if the search method cannot be used.
     """
     logical = fixed_logical_scenario(config.env)
-    if logical is None:
+    if logical is None:  # it depends on what the driver declares
         load_method(config.method)
     else:
         search_method(config, logical)
@@ -189,7 +193,7 @@ def differences(
 ) -> list[Difference]:
     """Search for differences by the method of `first`, and write their scenarios to the file `DIFFERENCES` in `folder`.
 
-    Each driver has so many workers; 0 use this process. `observe` gets the number of executed scenarios.
+    Each driver has that many `workers`; with 0, this process drives. `observe` gets the number of executed scenarios.
 
     Raises:
         InputError: if a driver or the search method cannot be used.
@@ -205,10 +209,10 @@ def differences(
 
 
 @contextmanager
-def _loaded(target: Target, workers: int) -> Iterator[Driven]:
+def _loaded(target: Target, workers: int) -> Iterator[LoadedDriver]:
     executor = start_executor(target, workers)
     try:
         check_loading(executor)
-        yield Driven(executor, logical_of_target(executor, target.env))
+        yield LoadedDriver(executor, logical_of_target(executor, target.env))
     finally:
         executor.shutdown(wait=False)

@@ -18,6 +18,8 @@ CHANGE: Final = "change (95 %)"
 COLUMNS: Final = ("", "A", "B", "fixed", "broken", "both", CHANGE, "p")
 LEGEND: Final = "fixed: only A; broken: only B; p: McNemar's exact test, adjusted by Holm's method"
 FAILED, AT_FAULT = "any failure", "failure at fault"
+NO_VIOLATION = "no violation"
+Row = tuple[int, tuple[str, str]]  # number of a scenario, and what happened with each driver, in words
 
 
 @dataclass(frozen=True)
@@ -72,9 +74,10 @@ class MarginDecision(NamedTuple):
     @classmethod
     def of(cls, pairs: Sequence[Pairs], margin: float) -> Self:
         """Decide about the failures at fault."""
-        row, sequence = next(row for row in pairs if row.outcome == AT_FAULT), PairedSequence(margin)
+        row = next(row for row in pairs if row.outcome == AT_FAULT)
         fixed, broken = set(row.only_first), set(row.only_second)
-        for number in range(row.n):  # where both fail, it is as where none does
+        sequence = PairedSequence(margin)
+        for number in range(row.n):  # a scenario in which both fail counts as one in which neither does
             if sequence.add(old_failed=number in fixed, new_failed=number in broken):
                 break
         return cls(margin, sequence.verdict, sequence.n)
@@ -85,8 +88,8 @@ class MarginDecision(NamedTuple):
         margin = f"{100 * self.margin:g} % of the scenarios"
         if not self.found:
             return f"Not decided in {self.after} scenarios whether B is worse than A in {margin}: give more --scenarios"
-        heads = {NON_INFERIOR: f"Non-inferior: B is worse than A in less than {margin}"}
-        head = heads.get(self.found, f"Inferior: B is worse than A in more than {margin}")
+        name, bound = ("Non-inferior", "less") if self.found == NON_INFERIOR else ("Inferior", "more")
+        head = f"{name}: B is worse than A in {bound} than {margin}"
         return f"{head} (failures at fault; decided after {self.after} scenarios; 95 %, valid at any time)"
 
 
@@ -142,10 +145,6 @@ def _violation_of(name: str) -> Callable[[Record], bool]:
 def _scene(record: Record) -> object:
     """Return what is the same in the scenarios of two drivers."""
     return record.load_scenario().scene
-
-
-NO_VIOLATION = "no violation"
-Row = tuple[int, tuple[str, str]]  # number of a scenario, and what happened with each driver, in words
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,8 @@ class Pool:
 
     A scenario enters when the policy fails in it by its own fault. It leaves when an episode in it ends otherwise.
 
-    An episode is drawn from the pool with the probability `share`, or less, in proportion, from fewer than `FULL`
-    scenarios, so that a few that cannot be mended do not fill the training.
+    An episode is drawn from the pool with the probability `share`, else from `logical`. The probability is lower, in
+    proportion, for a pool of fewer than `FULL` scenarios, so that a few that cannot be mended do not fill the training.
     """
 
     def __init__(self, logical: LogicalScenario, share: float, scenarios: Iterable[Scenario] = ()) -> None:
@@ -110,9 +110,8 @@ def read_pool(path: Path) -> list[Scenario]:
 class PoolReporter(TrainingReporter):
     """Callback that keeps a pool up to date with the ends of the training's episodes.
 
-    A scenario leaves the pool when an episode in it ends without a failure at fault.
-
-    With `own`, one enters the pool when an episode in it ends with such a failure.
+    A scenario leaves the pool when an episode in it ends without a failure at fault. If `own` is true, a scenario also
+    enters the pool when an episode in it ends with such a failure.
     """
 
     def __init__(self, observe: Callable[[Learned], None], pool: Pool, *, own: bool) -> None:
@@ -176,9 +175,8 @@ def found_failures(target: Target, method: str, budget: int, seed: int, folder: 
         ready.campaign.run(lambda _: None)
     with closing(Store.read(folder)) as store:
         executions = list(store.executions())
-    with closing(
-        Simulation(target.env, target.ads, env_config=target.env_config, traffic=target.traffic)
-    ) as simulation:
+    simulation = Simulation(target.env, target.ads, env_config=target.env_config, traffic=target.traffic)
+    with closing(simulation):
         failures = [one.scenario for one in executions if one.record.at_fault and _preventable(simulation, one, seed)]
         frequency = simulation.env.get_wrapper_attr("config")["policy_frequency"]
     return failures, round(sum(one.record.duration or 0.0 for one in executions) * frequency)

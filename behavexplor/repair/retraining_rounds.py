@@ -65,10 +65,9 @@ class RetrainingConfig:
     rounds: Annotated[int, between(1, 1000)] = 8
     steps: Annotated[int, between(1, 10**9)] = 250_000
     seed: Annotated[int, between(0, 2**63 - 1)] = 0
-    envs: Annotated[int, between(1, MOST_ENVS)] | None = (
-        None  # None: the number in the model's file, or 64 for a network
-    )
-    rate: Annotated[float, between(1e-7, 0.1)] | None = None  # None: the rate in the model's file, or else 2.5e-4
+    # None for the number in the model's file, or 64 for a network
+    envs: Annotated[int, between(1, MOST_ENVS)] | None = None
+    rate: Annotated[float, between(1e-7, 0.1)] | None = None  # None for the rate in the model's file, or else 2.5e-4
     method: str = "uniform"
     budget: Annotated[int, between(1, 100_000)] = 250
     validation: Annotated[int, between(1, 100_000)] = 1000

@@ -19,9 +19,9 @@ _SETTINGS: Final = {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "gamma": 0
 
 
 def train_small_policy(folder: Path, steps: int, observe: Callable[[int], None]) -> Path:
-    """Train a small policy with PPO on highway-fast-v0, and return the model's file, beside one that describes it.
+    """Train a small policy with PPO on highway-fast-v0, and return the model's file.
 
-    Both are put into the folder. `observe` gets the number of training steps so far.
+    The folder gets this file and one that describes it. `observe` gets the number of training steps so far.
     """
     compiled: Any = HighwayVecEnv
     envs = make_vec_env(ENV, _ENVS, seed=0, env_kwargs={"config": _CONFIG}, vec_env_cls=compiled)

@@ -1,4 +1,4 @@
-"""Contracts of driving systems (`behavexplor.ads.interface.ADS`), environments and specs."""
+"""Contract tests for driving systems, environments, specs and search methods, in this order."""
 
 import json
 import math
@@ -25,13 +25,13 @@ from behavexplor.judge.robustness import as_spec, load_spec
 from behavexplor.judge.specs import Verdict, judge
 from behavexplor.testing.synthetic import synthetic_trace
 
-ADS_SCENARIOS: Final = 4
-ENV_SCENARIOS: Final = 3
+ADS_SCENARIOS: Final = 4  # that a driving system drives by default
+ENV_SCENARIOS: Final = 3  # that an environment executes by default
 MOST_STEPS: Final = 100_000  # in which every episode must have ended
-TRACES: Final = 20
+TRACES: Final = 20  # on which a spec is called by default
 _ACTIONS: Final = 10  # random actions in an executed episode; the last one lasts to its end
 IN_FLIGHT: Final = (1, 8)  # tested numbers of candidates in flight
-SEEDS: Final = (0, 1)
+SEEDS: Final = (0, 1)  # of the tested searches
 Judge = Callable[[Trace], Verdict]
 
 
@@ -40,7 +40,7 @@ class ContractError(AssertionError):
 
 
 def promise(kept: object, sentence: str) -> None:
-    """Raise a `ContractError` unless a promise is kept: with what is wrong and what the interface asks for."""
+    """Raise a `ContractError` unless a promise is kept. `sentence` says what is wrong and what the interface asks."""
     if not kept:
         raise ContractError(sentence)
 
@@ -110,7 +110,7 @@ def check_env(env: str, *, scenarios: int = ENV_SCENARIOS) -> None:
     try:
         for _ in range(scenarios):
             scenario = _sampled(logical, generator)
-            actions = [made.action_space.sample() for _ in range(10)]
+            actions = [made.action_space.sample() for _ in range(_ACTIONS)]
             first, again = (executed(made, scenario, actions) for _ in range(2))
             promise(
                 first.to_bytes() == again.to_bytes(),
@@ -177,9 +177,9 @@ def check_spec(spec: Any, *, env: str = "intersection-straight", traces: int = T
     """
     made = load_spec(spec) if isinstance(spec, str) else as_spec(spec)
     for trace in _traces(env, max(traces, 1)):
-        _check(made, trace, "a trace")
-    _check(made, _alone(trace), "a trace without NPCs")
-    _check(made, trace.until(1, "error"), "a trace of a single frame")
+        _check_robustness(made, trace, "a trace")
+    _check_robustness(made, _without_npcs(trace), "a trace without NPCs")
+    _check_robustness(made, trace.until(1, "error"), "a trace of a single frame")
 
 
 def _traces(env: str, count: int) -> Iterator[Trace]:
@@ -196,14 +196,14 @@ def _traces(env: str, count: int) -> Iterator[Trace]:
             yield executed(made, logical.sample(generator), actions)
 
 
-def _alone(trace: Trace) -> Trace:
+def _without_npcs(trace: Trace) -> Trace:
     """Return a trace as if the ego had driven alone."""
     motion = {name: getattr(trace, name)[:, :1] for name in ("position", "heading", "velocity")}
     signals = {name: values if values.ndim == 1 else values[:, :1] for name, values in trace.signals.items()}
     return replace(trace, **motion, size=trace.size[:1], present=trace.present[:, :1], partner=-1, signals=signals)
 
 
-def _check(spec: Any, trace: Trace, what: str) -> None:
+def _check_robustness(spec: Any, trace: Trace, what: str) -> None:
     try:
         first, again = (judge(trace, [spec]) for _ in range(2))
     except InputError as error:
@@ -323,10 +323,7 @@ def _check_learned(told: _Told, search: SearchMethod) -> None:
 
 
 def _check_resuming(build: Callable[[int], SearchMethod], logical: LogicalScenario, executions: int) -> None:
-    """Check that a fresh search continues like the first one after receiving the same results.
-
-    A campaign is resumed in this way.
-    """
+    """Check that a fresh search that is told the same results goes on like the first: how a campaign is resumed."""
     search = build(SEEDS[0])
     told = _campaign(search, logical, executions // 2, IN_FLIGHT[0])
     fresh = build(SEEDS[0])
