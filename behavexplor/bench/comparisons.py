@@ -97,8 +97,8 @@ def samples(
 def headline(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
     """Return what an experiment says first: a narrow table of verdicts, with a sentence on each method as a note.
 
-    Each method is compared with the baseline, or the reference with each other method if there is no baseline, by the
-    classes of failures at fault, or the failures if they have no classes. Without two methods, there is no table.
+    Each method is compared with the baseline, or the reference with each other method if no other is the baseline, by
+    the classes of failures at fault, or the failures if they have no classes. Without two methods, there is no table.
     """
     named = {name: pairs for name, _, pairs in families(experiment)}
     pairs = named[experiment.baseline or experiment.compared]
@@ -107,7 +107,8 @@ def headline(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table
     if not found:
         return []
     compared = compare([sample[4:] for sample in found])
-    differing = 0 if experiment.baseline else 1  # which method of a pair differs between the rows
+    # which method of a pair differs between the rows, see `families`
+    differing = 0 if experiment.baseline not in ("", experiment.compared) else 1
     rows = []
     for (*place, one, other, _, _), c in zip(found, compared, strict=True):
         scenario, method = " ".join(place_cells(experiment, *place)), (one, other)[differing]

@@ -10,6 +10,7 @@ from behavexplor.api.evaluating import BOARD, listed
 from behavexplor.api.rate_folder import CARD
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
+from behavexplor.judge.rates import Goal
 
 ENTRIES = {
     "faster": {"ads": "constant:FASTER", "env": "roundabout-v0", "source": "<b>none</b>"},
@@ -45,6 +46,15 @@ def test_drivers_are_ranked_in_each_environment(tmp_path):
     assert "in each environment" in text
     assert text.index('id="a"') < text.index('id="b"')
     assert text.count('>1</td><th scope="row">') == 2
+
+
+def test_a_board_of_decisions_has_no_intervals_which_hold_for_a_fixed_number_only(tmp_path):
+    goal = Goal("failed", below=0.9)
+    text = behavexplor.board({"a": ENTRIES["slower"]}, tmp_path, scenarios=200, workers=0, goal=goal).read_text()
+    assert json.loads((tmp_path / "a" / f"{CARD}.json").read_text())["rates"]["failed"]["low"] is None
+    row = text[text.index('id="a"') :].partition("</tr>")[0]
+    assert " %" in row
+    assert " to " not in row
 
 
 def test_a_driver_has_the_same_rates_alone(ranked, tmp_path):

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from scipy.stats import pearsonr
 
-from behavexplor.bench.comparisons import curves, curves_csv, curves_svg
+from behavexplor.bench.comparisons import curves, curves_csv, curves_svg, headline
 from behavexplor.bench.experiment import experiment_config
 from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Failure, Mutant, Summary, correlation, summaries_csv
@@ -336,6 +336,24 @@ def test_comparisons_are_of_the_reference_and_of_the_baseline():
     assert set(column(against_reference, "Verdict")) == {"not distinguishable"}
     assert "the least corrected p is 0.400" in against_reference.notes[-1]
     assert [row[1:3] for row in against_baseline.rows] == [("Search", "Uniform_1"), ("w/o it", "Uniform_1")]
+
+
+@pytest.mark.parametrize(
+    ("baseline", "reference", "heads", "rows"),
+    [
+        ("Uniform_1", "", ["Method", "Mean", "Uniform_1"], [("Search", 3.0, 2.0), ("w/o it", 1.0, 2.0)]),
+        ("", "Search", ["Against", "Search", "Mean"], [("w/o it", 3.0, 1.0), ("Uniform_1", 3.0, 2.0)]),
+        ("Search", "", ["Against", "Search", "Mean"], [("w/o it", 3.0, 1.0), ("Uniform_1", 3.0, 2.0)]),
+    ],
+)
+def test_the_first_table_has_a_column_for_the_method_of_all_rows_and_a_row_for_each_other(
+    baseline, reference, heads, rows
+):
+    experiment = replace(EXPERIMENT, baseline=baseline, reference=reference)
+    labels = {"Search": ["R2"] * 3, "w/o it": ["R2"], "Uniform_1": ["R2"] * 2}
+    (table,) = headline(experiment, [campaign(name, seed, labels[name]) for name in labels for seed in (1, 2)])
+    assert [head.name for head in table.columns[1:4]] == heads
+    assert [row[1:4] for row in table.rows] == rows
 
 
 def test_enough_seeds_tell_methods_apart():
