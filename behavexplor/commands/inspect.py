@@ -27,7 +27,7 @@ from behavexplor.commands.wording import counted, hanging, say
 from behavexplor.data.drawn_scenario import DECLARATIONS
 from behavexplor.data.untrusted import read_file
 from behavexplor.envs.making import highway_ids
-from behavexplor.errors import InputError, sentence, unknown_name
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import collected_notices
 from behavexplor.execution.simulation import Simulation, brief_space, seen_in
 
@@ -155,9 +155,7 @@ def contents_of(policy: str) -> Contents:
         known = {"holds": "a network of `train`", "layers": "-".join(map(str, widths)), "decides by": network.rule}
         return Contents(path, {**known, "digest": f"sha256:{hashlib.sha256(read_file(path)).hexdigest()}"})
     path = find_model(Path(policy))
-    if path.suffix not in (".zip", *WEIGHTS):
-        raise unknown_name("ending of a policy's file", path.suffix, (".zip", ".npz", *WEIGHTS))
-    facts = _of_archive(read_archive(path)) if path.suffix == ".zip" else _of_weights(read_tensors(path))
+    facts = _of_weights(read_tensors(path)) if path.suffix in WEIGHTS else _of_archive(read_archive(path))
     beside = [file.name for file in files_of_model(str(path))[1:]]
     return Contents(path, {**facts, "settings": ", ".join(beside) or "none beside it"})
 

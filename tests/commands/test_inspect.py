@@ -142,10 +142,17 @@ def test_of_weights_that_are_no_tensors_no_layers_are_said(tmp_path, capfd):
     assert "between them" not in said
 
 
+def test_a_model_needs_no_ending_as_for_fuzz(tmp_path, capfd):
+    make_model("PPO").save(tmp_path / "model.zip")
+    for name in ("policy", "policy.v2"):
+        (tmp_path / name).write_bytes((tmp_path / "model.zip").read_bytes())
+        assert "algorithm PPO, " in inspected(capfd, tmp_path / name)
+
+
 def test_names_that_are_no_policies_are_refused(tmp_path, capfd):
     (tmp_path / "notes.txt").write_text("x")
     for name, message in (
-        ("notes.txt", "ending of a policy's file '.txt'"),
+        ("notes.txt", "is not a zip file of Stable-Baselines3, or is damaged"),
         ("none.pth", "There is no file or folder"),
     ):
         assert main(["inspect", str(tmp_path / name)]) == 2
