@@ -37,9 +37,9 @@ class GivenDriver:
 def given_driver(given: Any) -> GivenDriver:
     """Return a driver that is given as a name, a function of one observation, an object or a model.
 
-    A name is as in `load_ads`, or a path. The function maps one observation to one action. The object has a `predict`
-    method, see `behavexplor.ads.interface.ADS`. The policy of a model of Stable-Baselines3 is copied as it is now. What
-    this function has returned is returned again.
+    A name is as in `behavexplor.ads.loading.load_ads`, or a path. The function maps one observation to one action. The
+    object has a `predict` method, see `behavexplor.ads.interface.ADS`. The policy of a model of Stable-Baselines3 is
+    copied as it is now. What this function has returned is returned again.
 
     Raises:
         InputError: if it is none of these.

@@ -4,7 +4,7 @@ import math
 import os
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -23,7 +23,7 @@ from behavexplor.errors import InputError, brief, unknown_name
 # environments, records of failures are the compiled engine's, and all draws of a vehicle are one block.
 REVISION: Final = 3
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
-RUNS: Final = Path("runs")  # parent folder of run folders that were given no name
+RUNS: Final = Path("runs")  # parent folder of run folders that were given no name, and of an experiment's runs
 LATEST: Final = "latest"  # in it, a link to the run that began or went on last
 _LONGEST: Final = 40  # part of the name of a run folder [characters]
 
@@ -59,7 +59,7 @@ class CampaignConfig(Target):
     """One search method x ADS x environment x seed, with a budget.
 
     Attributes:
-        method: Search method, or package.module:attribute of your own:
+        method: Search method, or package.module:attribute of your own.
         budget: Number of executions (750), or running time (90s, 30m, 1h30m).
         seed: Random seed. The same seed gives the same records.
         batch: Number N of scenarios in flight. Each is chosen without the results of the N - 1 before it; 1 is the
@@ -124,16 +124,16 @@ class StoredConfig:
 
 
 def check_said_twice(values: Mapping[str, Any], given: Mapping[str, Any], file: str) -> None:
-    """Check that what a file says of trust and confinement stands on the command line, too. It does not count alone.
+    """Check that trust and confinement in a file were also given on the command line; alone, they do not count.
 
     Raises:
         InputError: if something does not; the message names the flag.
     """
     trusted = values.get("trust")
-    for digest in trusted if isinstance(trusted, list | tuple) else ():
+    for digest in trusted if isinstance(trusted, Iterable) and not isinstance(trusted, str) else ():
         if digest not in given.get("trust", ()):
             raise InputError(f"{file} trusts {digest}, which counts only on the command line: add --trust {digest}")
-    if values.get("unconfined") and "unconfined" not in given:
+    if values.get("unconfined") and not given.get("unconfined"):
         raise InputError(f"{file} says `unconfined`, which counts only on the command line: add --unconfined")
 
 
@@ -178,7 +178,7 @@ def stored_config(run: Path) -> StoredConfig:
     values = read_yaml(path)
     if not values:
         raise InputError(f"{path} is empty, so the configuration of the run is lost: restore it or start a new run")
-    return StoredConfig(run, campaign_config({"revision": 1, **values}))
+    return StoredConfig(run, campaign_config({"revision": 1, **values}))  # revision 1 did not state itself
 
 
 def check_revision(config: CampaignConfig, what: str) -> None:

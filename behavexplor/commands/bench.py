@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -94,9 +94,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
 
 def _check_consent(chosen: Experiment, trust: tuple[str, ...], file: str, *, unconfined: bool) -> None:
     """Check that the flags repeat what the experiment's file trusts and allows: the file alone does not count."""
-    given: dict[str, Any] = {"trust": trust}
-    if unconfined:
-        given["unconfined"] = True
+    given = {"trust": trust, "unconfined": unconfined}
     check_said_twice({"trust": chosen.trust, "unconfined": chosen.unconfined}, given, file)
 
 

@@ -40,7 +40,7 @@ _SETTINGS = settings(
     "env activation env_config seed method budget specs confirm traffic stochastic trust unconfined",
     box="campaign",
     env=(f"that of A, or {CampaignConfig.env}", ""),
-    method=("nsga2", " with --search"),
+    method=("nsga2", " Used with --search."),
     budget=(CampaignConfig.budget, " with --search"),
 )
 

@@ -193,7 +193,7 @@ _SEARCH = settings(
     box="search",
     method=(
         "behavexplor; in highway-env's environments uniform",
-        "".join(f"\n{name}: {describe_method(name)}" for name in METHODS),
+        " Methods:" + "".join(f"\n{name}: {describe_method(name)}" for name in METHODS),
     ),
 )
 
@@ -284,7 +284,7 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
             code, failure = EXECUTION_FAILED, str(error)
         else:
             failure = ended
-    if code == OK and (lost := _confirm(campaign, display)):
+    if code == OK and not campaign.stopping and (lost := _confirm(campaign, display)):
         code, failure = EXECUTION_FAILED, lost
     if store.lost is not None:
         say(f"{program()}: {store.lost} was deleted or moved, and with it the results", file=sys.stderr)
@@ -304,7 +304,7 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
 
 def _confirm(campaign: Campaign, display: Display) -> str | None:
     """Let highway-env confirm failures, and return why that could not be done; None if nothing went wrong."""
-    if campaign.stopping or not (count := len(campaign.unconfirmed)):
+    if not (count := len(campaign.unconfirmed)):
         return None
     display.say(f"Confirming {counted(count, 'failure')} in highway-env")
     try:
@@ -312,6 +312,8 @@ def _confirm(campaign: Campaign, display: Display) -> str | None:
             campaign.confirm(meter.show)
     except ExecutionError as error:
         return str(error)
+    if campaign.stopping and (left := len(campaign.unconfirmed)):
+        display.say(f"{left} of {counted(count, 'failure')} are not confirmed yet")
     return None
 
 

@@ -96,8 +96,8 @@ def check_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
     for key, value in config.items():
         default = made.config.get(key)
         if isinstance(value, str) and isinstance(default, int | float) and not isinstance(default, bool):
-            is_exponent = re.fullmatch(r"[-+]?\d+e[-+]?\d+", value)
-            hint = " (in YAML, a number with an exponent needs a point: 1.0e-1)" if is_exponent else ""
+            is_exponent = re.fullmatch(r"[-+]?[\d.]+[eE][-+]?\d+", value)
+            hint = " (in YAML, an exponent needs a sign, and a point before it: 1.0e+5)" if is_exponent else ""
             raise InputError(f"{key} of {name}: expected a number, got {value!r:.80}{hint}")
     ignored = frozenset(map(str, config.keys() - made.config.keys()))
     for key in sorted(ignored):
@@ -177,7 +177,7 @@ def make_recorded(setup: Setup) -> Any:
 
 
 def _check_ego(name: str, env: gymnasium.Env[Any, Any]) -> None:
-    """Refuse an environment with several egos, since one driver drives one."""
+    """Refuse an environment with more or fewer than one ego, or with tuples for several: one driver drives one."""
     made: Any = env.unwrapped
     count = len(made.controlled_vehicles)
     if count != 1:
@@ -207,8 +207,8 @@ def make_vector_env(
 ) -> VectorEnv[Any, Any, Any] | None:
     """Make the vector form of an environment of `make_env`, with autoreset disabled; None if it has none.
 
-    The vector form of a highway-env environment begins its episodes in `env`, and does not exist with `changes`, which
-    replace keys of the configuration. Without `rewards`, these are 0, and a compiled environment is faster.
+    The vector form of a highway-env environment begins its episodes in `env`; with `changes`, which replace keys of the
+    configuration, it has none. Without `rewards`, a compiled environment computes none, and is faster.
 
     Raises:
         InputError: if the vector form does not support the configuration.

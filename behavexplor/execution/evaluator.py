@@ -43,7 +43,8 @@ class Evaluator(Service):
 
     def __init__(self, lock_step: int = LOCK_STEP, **target: Any) -> None:
         self.target = CheckedTarget(**target)
-        self.is_confined = needs_confinement(self.target)  # whether the ADS is third-party code that gives up rights
+        # whether the ADS is third-party code, for which this process gives up rights
+        self.is_confined = needs_confinement(self.target)
         self._lock_step = lock_step
         self.driver: ADS | None = None  # drives in place of the target's ADS; None: nothing does
         self.simulation: Simulation  # from `begin` on
@@ -68,7 +69,7 @@ class Evaluator(Service):
     def confine(self) -> None:
         """Confine this process if the ADS is third-party code; see `behavexplor.execution.confinement`."""
         if self.is_confined:
-            keep_code_in(Path(tempfile.mkdtemp()))
+            keep_code_in(Path(tempfile.mkdtemp()))  # this process will not be able to write into the usual folder
             self._unprevented = confine()
 
     def begin(self) -> None:
@@ -110,7 +111,7 @@ class Evaluator(Service):
         return trace.to_bytes()
 
     def logical(self, _: bytes) -> bytes:
-        """Return the logical scenario of a highway-env environment as JSON. It depends on what the ADS declares."""
+        """Return the logical scenario of a highway-env environment, as the ADS declares it, as JSON; "" for others."""
         return self.simulation.logical.to_json().encode()
 
     def road(self, _: bytes) -> bytes:
@@ -147,7 +148,7 @@ class ScenarioBatch:
         self.capacity = episodes.free
 
     def begin(self, key: int, request: bytes) -> None:
-        """Take one more scenario, as JSON.
+        """Take one more scenario, given as in `Evaluator.execute`.
 
         Raises:
             InputError: if the scenario does not fit this environment.
@@ -220,7 +221,7 @@ def _explained(message: str) -> str:
 
 
 def _scenario(data: bytes, simulation: Simulation) -> Scenario:
-    """Return the scenario of a request, which is its JSON, or [seed, number] of a uniform draw as JSON."""
+    """Return the scenario of a request: JSON of the scenario, or of the [seed, number] of a uniform draw."""
     if data.startswith(b"["):
         return simulation.logical.sample(draws(*json.loads(data)))
     return parse_scenario(data.decode())

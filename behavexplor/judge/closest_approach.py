@@ -22,7 +22,7 @@ LONGEST: Final = 5.0  # greater times to collision tell nothing [s]
 BEFORE: Final = 1.0  # time between the situation that leads to a collision and the contact [s]
 _REACH: Final = 80.0  # vehicles farther away are not looked at [m]
 _SECTORS: Final = 8
-_CLOSING: Final = (4.0, 10.0)  # edges between kinds of relative speeds [m/s]
+_RELATIVE_SPEEDS: Final = (4.0, 10.0)  # edges between kinds of relative speeds [m/s]
 _SPEEDS: Final = (6.0, 14.0, 22.0)  # edges between kinds of the ego's speeds [m/s]
 _DISC_PLACE: Final = 0.34  # of the outer two of a vehicle's three discs, as a share of its length
 _DISC_RADIUS: Final = 0.55  # as a share of its width
@@ -61,12 +61,12 @@ class ClosestApproach:
         heading = trace.heading[self.frame, 0]
         x, y = trace.position[self.frame, self.npc] - trace.position[self.frame, 0]
         sector = round((math.atan2(y, x) - heading) / (2 * math.pi / _SECTORS)) % _SECTORS
-        closing = math.hypot(*(trace.velocity[self.frame, self.npc] - trace.velocity[self.frame, 0]))
+        relative = math.hypot(*(trace.velocity[self.frame, self.npc] - trace.velocity[self.frame, 0]))
         speed = math.hypot(*trace.velocity[self.frame, 0])
         latest = int(np.searchsorted(trace.action_frame, self.frame, side="right")) - 1
         command = np.rint(trace.actions[latest]).astype(int).tolist() if latest >= 0 else []
         words = maneuver_of(trace, self.frame), bearing_of(trace, self.frame, self.npc)
-        return *words, sector, int(np.digitize(closing, _CLOSING)), int(np.digitize(speed, _SPEEDS)), *command
+        return *words, sector, int(np.digitize(relative, _RELATIVE_SPEEDS)), int(np.digitize(speed, _SPEEDS)), *command
 
 
 class Nearness(NamedTuple):
@@ -124,10 +124,10 @@ def fill_nearest(position: Floats, heading: Floats, velocity: Floats, size: Floa
             for pair in range(9):
                 own, other = _DISC_PLACE * (pair // 3 - 1), _DISC_PLACE * (pair % 3 - 1)
                 x, y = dx + other * npc_x - own * ego_x, dy + other * npc_y - own * ego_y
-                toward, beyond = x * vx + y * vy, x * x + y * y - radius * radius
-                root = toward * toward - speed2 * beyond
-                if beyond > 0.0 and (toward >= 0.0 or root < 0.0):
+                apart, beyond = x * vx + y * vy, x * x + y * y - radius * radius
+                root = apart * apart - speed2 * beyond
+                if beyond > 0.0 and (apart >= 0.0 or root < 0.0):
                     continue
-                left = max(-toward - math.sqrt(root), 0.0) / speed2 if beyond > 0.0 else 0.0
+                left = max(-apart - math.sqrt(root), 0.0) / speed2 if beyond > 0.0 else 0.0
                 if left < found[0]:
                     found[0], found[1], found[2] = left, t, i

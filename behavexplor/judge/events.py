@@ -29,7 +29,7 @@ class ViolationEvent:
 
 
 def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | None:
-    """Return the violation event of the first violated spec; None if no spec is violated.
+    """Return the event of the first of the `violated` specs, by name; None without one, or if no contact is found.
 
     The order is R1, R2, R3, since a collision keeps the ego from its destination, then the specs of the user.
     """

@@ -64,7 +64,7 @@ class Collision:
     name: str = field(default="collision", init=False)
 
     def degree(self, trace: Trace) -> float:
-        """Return D_b [m], or `NOTHING_NEAR` without any NPC. In highway-env environments, 0 means a crash."""
+        """Return D_b [m], or `NOTHING_NEAR` without any NPC. In highway-env environments, only a crash gives 0."""
         if CRASHED not in trace.signals:
             return _npc_distance(trace)
         return 0.0 if self.violated(trace) else max(_npc_distance(trace), RESOLUTION)
@@ -250,8 +250,8 @@ def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
     """Return the poses of all vehicles up to the moment of arrival: positions (T, N, 2) [m], headings (T, N) [rad].
 
     An episode ends in the first frame in which the ego's center is within `ARRIVAL_DISTANCE` of its destination. This
-    frame lies behind the moment of arrival, by up to 0.56 m at 20 Hz and the speed limit. How far behind is an accident
-    of the sampling, and greater than the differences between most episodes. So it must not count.
+    frame lies behind the moment of arrival, by up to the speed times the time step (0.56 m at the limit and 20 Hz). How
+    far is an accident of the sampling, and greater than the differences between most episodes. So it must not count.
 
     The last frame of an ego that arrived is moved back to the moment at which its center came within
     `ARRIVAL_DISTANCE` of the destination, at the earliest to the frame before. All vehicles are interpolated linearly

@@ -165,6 +165,8 @@ DIGESTS = [f"sha256:{digit * 64}" for digit in "12"]
         ({"trust": DIGESTS}, {"trust": DIGESTS}, ""),
         ({"trust": DIGESTS}, {"trust": DIGESTS[:1]}, f"trusts {DIGESTS[1]}, .*: add --trust {DIGESTS[1]}"),
         ({"trust": tuple(DIGESTS)}, {}, f"trusts {DIGESTS[0]}"),
+        (yaml.safe_load(f"trust: !!set {{'{DIGESTS[0]}'}}"), {}, f"trusts {DIGESTS[0]}"),
+        ({"unconfined": True}, {"unconfined": False}, "says `unconfined`"),
         ({"unconfined": True}, {}, "says `unconfined`, .*: add --unconfined"),
         ({"unconfined": True}, {"unconfined": True}, ""),
         ({"unconfined": False, "trust": []}, {}, ""),

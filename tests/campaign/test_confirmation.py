@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behavexplor.campaign.campaign import ExecutionError
+from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.confirmation import FOLDER, OF_EACH_CLASS, difference, read_confirmations
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
-from behavexplor.commands import OK, main
+from behavexplor.commands import INTERRUPTED, OK, main
 from behavexplor.commands.wording import counted
 from behavexplor.execution.simulation import Simulation
 from behavexplor.report.reading import read_run
@@ -131,6 +131,21 @@ def test_a_disagreement_is_shown_as_an_error_of_this_package(tmp_path, workers, 
     assert words in (tmp_path / "run" / "report.html").read_text()
     assert main(["triage", folder, "--workers", "0", "--quiet", "--unconfined"]) == OK
     assert words in " ".join(capsys.readouterr().out.split())
+
+
+def test_an_interrupted_confirmation_says_how_many_failures_are_left(monkeypatch, tmp_path, capsys):
+    confirmed = Campaign.confirm
+
+    def interrupted(campaign, observe):
+        confirmed(campaign, lambda done: (observe(done), campaign.stop()))
+
+    monkeypatch.setattr(Campaign, "confirm", interrupted)
+    arguments = ["--env", IDLE.env, "--ads", IDLE.ads, "--method", IDLE.method, "--budget", "12", "--seed", "1"]
+    assert main(["fuzz", *arguments, "--workers", "0", "--out", str(tmp_path / "run")]) == INTERRUPTED
+    said = " ".join(capsys.readouterr().err.split())
+    count = int(said.partition("Confirming ")[2].split()[0])
+    assert f"{count - 1} of {count} failures are not confirmed yet" in said
+    assert "resume with:" in said
 
 
 class Remembering:

@@ -135,7 +135,11 @@ def test_what_a_driver_declares_is_checked_as_well_from_python(tmp_path):
     ("config", "message"),
     [
         ({"duration": "5"}, r"duration of highway-fast-v0: expected a number, got '5'$"),
-        ({"collision_reward": "-1e-1"}, r"got '-1e-1' \(in YAML, a number with an exponent needs a point: 1\.0e-1\)"),
+        (
+            {"collision_reward": "-1e-1"},
+            r"got '-1e-1' \(in YAML, an exponent needs a sign, and a point before it: 1\.0e",
+        ),
+        ({"collision_reward": "1.0e5"}, r"got '1\.0e5' \(in YAML, an exponent needs a sign"),
     ],
 )
 def test_a_text_in_place_of_a_number_is_refused(config, message):

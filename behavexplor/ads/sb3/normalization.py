@@ -140,7 +140,7 @@ class Statistics:
         return arrays | {key: self._scaled(arrays[key], moments) for key, moments in self.moments.items()}
 
     def of_part(self, part: Callable[[str, Moments], Moments]) -> Self:
-        """Return the statistics of a part of each array; `part` gives its moments, for the array's key and moments."""
+        """Return the statistics of a part of each array: `part` maps its key ("" for the only one) and its moments."""
         if isinstance(self.moments, Moments):
             return replace(self, moments=part("", self.moments))
         return replace(self, moments={key: part(key, moments) for key, moments in self.moments.items()})

@@ -104,11 +104,11 @@ def _make_rules(env: Any) -> Records:
 
 def _route_steps(roadmap: RoadMap) -> Records:
     network, routes = road_network(roadmap), (roadmap.ego_route, *roadmap.npc_routes)
-    numbers = road_numbers(network)
+    roads = road_numbers(network)
     steps = np.zeros((len(routes), max(len(route.lanes) for route in routes)), ROUTE_STEP)
     for row, route in zip(steps, routes, strict=True):
-        for step, (origin, target, number) in enumerate(network.indexes(route)):
-            row[step] = numbers[origin, target], number
+        for step, (origin, target, lane) in enumerate(network.indexes(route)):
+            row[step] = roads[origin, target], lane
     return steps
 
 
