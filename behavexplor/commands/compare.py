@@ -41,7 +41,7 @@ _SETTINGS = settings(
     box="campaign",
     env=(f"that of A, or {CampaignConfig.env}", ""),
     method=("nsga2", " Used with --search."),
-    budget=(CampaignConfig.budget, " with --search"),
+    budget=(CampaignConfig.budget, " Used with --search."),
 )
 
 
