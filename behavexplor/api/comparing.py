@@ -16,7 +16,8 @@ from behavexplor.api.observers import Observer
 from behavexplor.api.run import Run
 from behavexplor.campaign.config import CampaignConfig, stamped_folder
 from behavexplor.errors import InputError
-from behavexplor.repair.pair_campaigns import FIRST, PAGE, SECOND, SETTINGS, compared, looks, second_config
+from behavexplor.repair import pair_campaigns
+from behavexplor.repair.pair_campaigns import FIRST, PAGE, SECOND, SETTINGS, compared, second_config
 from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, MarginDecision, Pairs, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page, written
@@ -157,6 +158,7 @@ def compare(  # noqa: PLR0913 - one argument for each choice
             f"A comparison drives both drivers through the same uniformly drawn scenarios, so {fixed[0]} cannot be "
             "chosen: give scenarios and seed"
         )
+    pair_campaigns.check_numbers(scenarios, margin)
     one, other = given_driver(first), given_driver(second)
     values = {**SETTINGS, "budget": str(scenarios), "seed": seed, **settings}
     config = config_of(one, env, env_config, specs, **values)
@@ -165,7 +167,7 @@ def compare(  # noqa: PLR0913 - one argument for each choice
     folder = Path(out) if out is not None else stamped_folder("compare")
     try:
         goes_on = False
-        for budget in looks(scenarios, margin):
+        for budget in pair_campaigns.looks(scenarios, margin):
             config = replace(config, budget=str(budget))
             conduct(config, folder / FIRST, one, workers=workers, progress=progress, resume=goes_on)
             again = second_config(config, other.name, folder / FIRST)

@@ -70,8 +70,8 @@ def worker_count(given: GivenDriver, target: Target, workers: int | None) -> int
     Raises:
         InputError: if there cannot be that many, or the driver cannot drive in them.
     """
-    if workers is not None and not 0 <= workers <= MOST_WORKERS:
-        raise InputError(f"workers={workers} must lie between 0 and {MOST_WORKERS}")
+    if workers is not None and not (isinstance(workers, int) and 0 <= workers <= MOST_WORKERS):
+        raise InputError(f"workers={workers!r} must lie between 0 and {MOST_WORKERS}")
     if given.driver is None:
         return fewest_workers(target) if workers is None else workers
     if workers not in (None, 0, 1):

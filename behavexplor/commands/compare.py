@@ -80,7 +80,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         quiet: Print only the tables.
     """
     count, output = chosen_workers(workers), check_outputs(json_file, junit)
-    _check(margin, first, second)
+    _check(scenarios, margin, first, second)
     if junit is not None and margin is None:
         raise InputError("--junit writes whether a threshold was met: give one with --margin")
     of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
@@ -112,10 +112,9 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     return _CODES[verdict.found] if verdict else OK
 
 
-def _check(margin: float | None, first: str, second: str) -> None:
+def _check(scenarios: int, margin: float | None, first: str, second: str) -> None:
     """Check what does not depend on anything that is loaded."""
-    if margin is not None and not 0.0 < margin < 1.0:
-        raise InputError(f"--margin {margin} must lie between 0 and 1, such as 0.01 for one point")
+    pair_campaigns.check_numbers(scenarios, margin)
     for name in (first, second):
         check_name(name)
 

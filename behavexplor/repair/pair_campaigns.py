@@ -133,6 +133,18 @@ def verdict_at_fault(trace: Trace, is_error: bool, specs: Sequence[Spec]) -> Ver
     return verdict if is_at_fault(collision_fault(trace, verdict.violated)) else replace(verdict, violated=())
 
 
+def check_numbers(scenarios: int, margin: float | None) -> None:
+    """Check the number of scenarios of a comparison, and its margin.
+
+    Raises:
+        InputError: if one of them cannot be used.
+    """
+    if scenarios < 1:
+        raise InputError(f"A comparison needs at least 1 scenario, not {scenarios}")
+    if margin is not None and not 0.0 < margin < 1.0:
+        raise InputError(f"The margin {margin} must lie between 0 and 1, such as 0.01 for one point")
+
+
 def looks(n: int, margin: float | None) -> Iterator[int]:
     """Yield the numbers of scenarios after which a comparison looks whether it is decided; only n without a margin."""
     count = n if margin is None else _FIRST_LOOK

@@ -28,6 +28,13 @@ def test_the_records_are_those_of_the_command(compared, tmp_path):
     assert compared.pairs == command.pairs
 
 
+@pytest.mark.parametrize(("name", "value"), [("scenarios", 0), ("margin", 7), ("margin", 0.0)])
+def test_numbers_of_a_comparison_that_mean_nothing_are_refused(tmp_path, name, value):
+    with pytest.raises(InputError, match=r"at least 1 scenario|must lie between 0 and 1"):
+        behavexplor.compare(Swerver(), Cruiser(), "intersection-straight", out=tmp_path / "a", **{name: value})
+    assert not (tmp_path / "a").exists()
+
+
 def test_the_scenarios_of_a_comparison_are_always_drawn_uniformly(tmp_path):
     for settings in ({"method": "nsga2"}, {"budget": "9"}):
         with pytest.raises(InputError, match=f"so {next(iter(settings))} cannot be chosen"):

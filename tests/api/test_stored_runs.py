@@ -61,9 +61,9 @@ def test_a_campaign_cannot_stop_after_no_failure(tmp_path):
         behavexplor.find_failures(len, stop_after=0, out=tmp_path / "a")
 
 
-@pytest.mark.parametrize("workers", [-1, 65])
+@pytest.mark.parametrize("workers", [-1, 65, "2"])
 def test_a_number_of_workers_that_there_cannot_be_is_refused(tmp_path, workers):
-    with pytest.raises(behavexplor.InputError, match=f"workers={workers} must lie between 0 and 64"):
+    with pytest.raises(behavexplor.InputError, match=f"workers={workers!r} must lie between 0 and 64"):
         behavexplor.find_failures("rule", workers=workers, out=tmp_path / "a")
 
 

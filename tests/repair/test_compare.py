@@ -179,6 +179,8 @@ def test_the_exit_code_and_the_files_are_the_verdict(tmp_path, capsys):
         assert ("<failure" in (tmp_path / "a.xml").read_text()) == bool(code)
     assert main([*run, CRUISER, CRUISER, "--margin", "1.5"]) == BAD_INPUT
     assert "must lie between 0 and 1" in capsys.readouterr().err
+    assert main([*run[:-1], "0", CRUISER, CRUISER]) == BAD_INPUT
+    assert "A comparison needs at least 1 scenario, not 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
