@@ -107,17 +107,15 @@ def headline(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table
     if not found:
         return []
     compared = compare([sample[4:] for sample in found])
-    # which method of a pair differs between the rows, see `families`
-    differing = 0 if experiment.baseline not in ("", experiment.compared) else 1
+    by_baseline = experiment.baseline not in ("", experiment.compared)  # or else by the reference, see `families`
     rows = []
     for (*place, one, other, _, _), c in zip(found, compared, strict=True):
-        scenario, method = " ".join(place_cells(experiment, *place)), (one, other)[differing]
+        scenario, method = " ".join(place_cells(experiment, *place)), one if by_baseline else other
         rows.append((scenario, method, *c.means, c.effect, UNDECIDED if c.corrected >= LEVEL else c.verdict))
     places = [row[0] for row in rows]
     blocks = tuple(places.count(place) for place in dict.fromkeys(places))
-    names = ["Scenario", ("Method", "Against")[differing], "Mean", "Mean", "A12", "Verdict"]
-    names[3 - differing] = pairs[0][1 - differing]  # the other method of the pairs has one column for its means
-    heads = tuple(Column(name, digits=2 if name == "A12" else 1) for name in names)
+    middle = ["Method", "Mean", experiment.baseline] if by_baseline else ["Against", experiment.compared, "Mean"]
+    heads = tuple(Column(name, digits=2 if name == "A12" else 1) for name in ("Scenario", *middle, "A12", "Verdict"))
     notes = [_HEADLINE_NOTE]
     for one, other in pairs:
         said = [
@@ -225,7 +223,7 @@ def in_equal_time(experiment: Experiment, summaries: Sequence[Summary]) -> Equal
 class Curve:
     """The mean over campaigns of a count of findings, by number of executions."""
 
-    figure: str  # counted findings, such as "failures at fault"; see `behavexplor.bench.comparisons.compared_figures`
+    figure: str  # counted findings, such as "failures at fault"; see `compared_figures`
     env: str  # environment
     ads: str  # driving system under test
     method: str  # name of the search method in the experiment

@@ -75,7 +75,7 @@ class Progress:
     # how many failures, by the most severe spec that they violate. R1 comes before R2 and R3, because a collision also
     # keeps the ego from its destination. "error" counts failures of the ADS itself.
     violations: Mapping[str, int] = field(default_factory=dict)
-    # the executions of the first failures of each of these specs, by their numbers; at most `LISTED`
+    # numbers of the first executions that count for each of these specs, at most `LISTED`
     examples: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     classes: Mapping[str, ClassSummary] = field(default_factory=dict)  # by id; each class is a unique violation
     novel: int = 0  # number of executions with a behavior that was new to the campaign

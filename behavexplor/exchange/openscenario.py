@@ -51,8 +51,8 @@ class Dialect(NamedTuple):
 
     revision: int  # minor revision of OpenSCENARIO XML 1
     axle: float  # distance of a vehicle's reference point behind its center, as a share of its length
-    since: Any  # rule for times
-    within: Any  # rule for distances
+    since: Any  # rule by which a time has come
+    within: Any  # rule by which a distance is short enough
 
 
 STANDARD: Final = Dialect(2, axes.REAR_AXLE, xosc.Rule.greaterOrEqual, xosc.Rule.lessOrEqual)
@@ -64,7 +64,7 @@ def write_scene(
 ) -> None:
     """Write a scene as an OpenSCENARIO file; scripted vehicles get trajectories, or routes with speed profiles.
 
-    The date stands in the header. In a scene for CARLA, no vehicle may appear or leave, and there are no routes.
+    The date stands in the header. For CARLA, no vehicle may appear or leave, and `as_routes` must be False.
     """
     stop = _stop(scene, dialect)
     init, entities = xosc.Init(), xosc.Entities()
@@ -198,9 +198,9 @@ def _follow(mover: Mover, rows: Floats) -> list[tuple[str, Any]]:
 
 
 def _reach(init: Any, destination: Floats, dialect: Dialect) -> list[tuple[str, Any]]:
-    """Let a free ego drive to its destination from the beginning; return the actions that do it later, with names.
+    """Let a free ego drive to its destination: by an initial action, or for CARLA by the returned action with its name.
 
-    ScenarioRunner would start the ego at its destination if that were an initial action.
+    ScenarioRunner would start the ego at the destination of an initial action.
     """
     reaching = xosc.AcquirePositionAction(_point(destination))
     if dialect is CARLA:

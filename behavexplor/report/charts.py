@@ -65,7 +65,7 @@ def chart(title: str, series: Sequence[Series]) -> Chart | None:
     return Chart(
         title,
         tuple(_drawn(line, x_scale, y_scale) for line in given),
-        tuple((x_scale(mark), _label(mark)) for mark in ticks(0.0, x_end) if mark <= x_end),
+        tuple((x_scale(mark), _label(mark)) for mark in ticks(0.0, x_end, whole=True) if mark <= x_end),
         tuple((y_scale(mark), _label(mark)) for mark in y_marks),
         _rows(given),
     )

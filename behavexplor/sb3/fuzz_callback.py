@@ -14,7 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from behavexplor.ads.in_memory import given_driver
 from behavexplor.api.campaigns import config_of, find_failures
 from behavexplor.campaign.campaign import search_method
-from behavexplor.campaign.config import Budget, stamped_folder
+from behavexplor.campaign.config import stamped_folder
 from behavexplor.campaign.run_summary import RunSummary
 from behavexplor.data.durable import folder_in, new_file
 from behavexplor.errors import InputError, brief
@@ -95,9 +95,7 @@ class FuzzCallback(BaseCallback):
         **settings: Any,
     ) -> None:
         super().__init__(verbose)
-        given: dict[str, Any] = {"every": every, "share": share}
-        if stop_below is not None:
-            given["stop_below"] = stop_below
+        given: dict[str, Any] = {"every": every, "share": share, "stop_below": stop_below or 1.0}
         for name, value in given.items():
             if not isinstance(value, numbers.Real):
                 raise InputError(f"{name}={brief(value)} must be a number")
@@ -136,14 +134,13 @@ class FuzzCallback(BaseCallback):
         self._begin, self._spent = time.monotonic(), 0.0
         self._next = self.num_timesteps + self._every
         if not self.num_timesteps:  # the counter began anew, and so would the names of the rounds
-            self._folder = None
+            self._folder = self.best = None
 
     def _check(self) -> None:
         """Check all that a round needs, because a mistake that shows in the first round costs the training."""
         given: Any = given_driver(self.model)
         settings = {"env_config": None, **self._settings}  # so that `env_config` in the settings wins
         config = config_of(given, self._env, **settings)
-        Budget.parse(config.budget)
         load_specs(config.specs)
         with start_executor(config.target, 0, driver=given.driver) as executor:
             search_method(config, logical_of_target(executor, config.env))
@@ -160,7 +157,7 @@ class FuzzCallback(BaseCallback):
         return self._stop_below is None or found.summary.at_fault_rate >= self._stop_below
 
     def _has_time(self) -> bool:
-        if not self.rounds:
+        if self.best is None:  # the first round of a training always takes place
             return True
         expected = self.rounds[-1].seconds
         elapsed = time.monotonic() - self._begin

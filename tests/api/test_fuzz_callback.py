@@ -2,6 +2,7 @@
 
 import importlib
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from behavexplor.ads.sb3.model_in_memory import training_env
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
 from behavexplor.sb3 import FuzzCallback
+from behavexplor.sb3.fuzz_callback import BEST, FuzzingRound
 
 CONFIG = {"duration": 6, "vehicles_count": 10}
 SEARCH = {"budget": 6, "seed": 3, "confirm": False}
@@ -152,6 +154,25 @@ def test_a_mistake_is_named_before_the_training_begins(settings, message, tmp_pa
     assert model.num_timesteps == 0
 
 
+def test_each_training_has_a_best_policy_of_its_own_and_a_first_round(tmp_path, monkeypatch):
+    """The rounds of the second training are worse, and each takes too long for its share."""
+    callback, at_fault = FuzzCallback(every=32, share=1e-9, out=str(tmp_path), **SEARCH), iter([0, 9])
+
+    def made_up(self):
+        summary = SimpleNamespace(at_fault=next(at_fault), at_fault_rate=1.0)
+        self.rounds.append(FuzzingRound(self.num_timesteps, self.folder, summary, 60.0))
+        return self.rounds[-1]
+
+    monkeypatch.setattr(FuzzCallback, "_round", made_up)
+    monkeypatch.setattr(FuzzCallback, "_log", lambda *_: None)
+    model = ppo()
+    for count in (1, 2):
+        model.learn(64, callback=callback)
+        assert len(callback.rounds) == count
+        assert callback.best is callback.rounds[-1]
+        assert (callback.folder / BEST).is_file()
+
+
 def test_a_second_training_has_rounds_of_its_own(tmp_path):
     model, callback = ppo(), FuzzCallback(every=32, share=1.0, method="uniform", out=str(tmp_path), **SEARCH)
     for number, steps in enumerate(([32, 64], [32, 64], [32, 64, 96])):
@@ -161,6 +182,8 @@ def test_a_second_training_has_rounds_of_its_own(tmp_path):
     assert callback.folder == tmp_path / "training-2"
     assert {found.folder.parent for found in callback.rounds[:2]} == {tmp_path}
     assert {found.folder.parent for found in callback.rounds[2:]} == {tmp_path / "training-2"}
+    assert callback.best in callback.rounds[2:]
+    assert (tmp_path / "training-2" / BEST).is_file()
     another = FuzzCallback(every=32, share=1.0, method="uniform", out=str(tmp_path), **SEARCH)
     ppo().learn(32, callback=another)
     assert another.rounds[0].folder.parent == tmp_path / "training-3"

@@ -1,5 +1,6 @@
 """What continuous integration and a waiting user ask: thresholds, known classes, summaries, the state of a run."""
 
+import importlib
 import json
 import subprocess
 import sys
@@ -9,7 +10,7 @@ import gymnasium
 import pytest
 
 from behavexplor.campaign.store import Store
-from behavexplor.commands import main
+from behavexplor.commands import OK, main
 from behavexplor.envs import making
 
 FUZZ = ["fuzz", "--workers", "0", "--unconfined", "--method", "uniform", "--seed", "5"]
@@ -132,6 +133,18 @@ def test_gymnasium_makes_an_environment_without_an_import():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("failing", ["fuzz", "report"])
+def test_a_demo_ends_where_one_of_its_commands_fails(tmp_path, monkeypatch, failing):
+    def train(folder, *_):
+        return folder / "model.zip"
+
+    module = importlib.import_module("behavexplor.commands.demo")
+    monkeypatch.setattr("behavexplor.sb3.small_policy.train_small_policy", train)
+    monkeypatch.setattr(module, "main", lambda words: 3 if words[0] == failing else OK)
+    monkeypatch.setattr("webbrowser.open", pytest.fail)
+    assert main(["demo", "--out", str(tmp_path / "d")]) == 3
+
+
 def test_the_demo_trains_fuzzes_and_reports(tmp_path, capsys):
     assert main(["demo", "--out", str(tmp_path / "d"), "--no-browser", "--budget", "2", "--steps", "1024"]) == 0
     text = capsys.readouterr().out

@@ -125,7 +125,7 @@ class ScriptedEpisodes:
         return None if has_touched or ENDS[run["end"]] != ARRIVED else self.trace(b, max(int(run["frame"]) - 1, 0))
 
     def _arguments_for(self, observation: Any) -> tuple[Any, ...]:
-        """Return the arguments of the kernel that observes; none if the engine does not know the observation."""
+        """Prepare the slots for an observation, and return its kernel's arguments; none if the engine has no kernel."""
         if type(observation) is SceneObservation:
             return (self.slots,)
         if odd_observation(observation):
@@ -140,9 +140,9 @@ class ScriptedEpisodes:
 
     def _compile(self, n_slots: int) -> None:
         """Compile the kernels for the types of these arrays, or read them from the cache."""
-        mask = np.zeros(n_slots, dtype=bool)
-        given = np.zeros((n_slots, self._n_values)), np.zeros((n_slots, 2)), mask, np.zeros((2, n_slots), dtype=bool)
-        self._step_slots: Any = compiled_for(step, self.world, self.slots, *given, WHOLE)
+        values, commands = np.zeros((n_slots, self._n_values)), np.zeros((n_slots, 2))
+        mask, ends = np.zeros(n_slots, dtype=bool), np.zeros((2, n_slots), dtype=bool)
+        self._step_slots: Any = compiled_for(step, self.world, self.slots, values, commands, mask, ends, WHOLE)
         if self.observes:
             observe: Any = observe_scene if len(self._observe_arguments) == 1 else observe_kinematics
             self._observe_slots: Any = compiled_for(observe, *self._observe_arguments, mask, self.observations)
@@ -154,8 +154,8 @@ class ScriptedEpisodes:
 
 def odd_method(env: Any, known: type, free: frozenset[str] = frozenset()) -> str | None:
     """Return a method of `known` that an environment's class replaces and that is not in `free`; None without one."""
-    rule = replaced(type(env), known, free | {"logical"})
-    return rule and f"the method {rule}"
+    method = replaced(type(env), known, free | {"logical"})  # a subclass has a `logical` of its own
+    return method and f"the method {method}"
 
 
 def odd_observation(observation: Any) -> str | None:
