@@ -1,4 +1,4 @@
-"""Whether a campaign's driver is the one with which it began, and the configuration by which a run is then executed."""
+"""Checks that a run's driver has not changed since the run began, and the configuration to execute the run with."""
 
 import hashlib
 import warnings

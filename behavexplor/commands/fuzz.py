@@ -313,7 +313,7 @@ def _confirm(campaign: Campaign, display: Display) -> str | None:
     except ExecutionError as error:
         return str(error)
     if campaign.stopping and (left := len(campaign.unconfirmed)):
-        display.say(f"{left} of {counted(count, 'failure')} are not confirmed yet")
+        display.say(f"Not confirmed yet: {left} of {counted(count, 'failure')}")
     return None
 
 

@@ -54,7 +54,7 @@ class Packed:
 
 
 def pack(trace: Trace, frame: int) -> Packed:
-    """Pack a trace. The frame with this index is kept, whatever others are left out."""
+    """Pack a trace. If frames are left out, the one with this index is kept."""
     kept = _kept(trace, frame)
     position = _held(trace)[kept]
     low, high = position.min((0, 1)), position.max((0, 1))

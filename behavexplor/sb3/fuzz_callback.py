@@ -95,7 +95,8 @@ class FuzzCallback(BaseCallback):
         **settings: Any,
     ) -> None:
         super().__init__(verbose)
-        given: dict[str, Any] = {"every": every, "share": share, "stop_below": stop_below or 1.0}
+        limit = 1.0 if stop_below is None else stop_below
+        given: dict[str, Any] = {"every": every, "share": share, "stop_below": limit}
         for name, value in given.items():
             if not isinstance(value, numbers.Real):
                 raise InputError(f"{name}={brief(value)} must be a number")

@@ -127,6 +127,7 @@ def test_a_hyperparameter_file_can_name_it():
         ("stop_below", math.nan),
         ("stop_below", 0.0),  # no rate is below it
         ("stop_below", 5),
+        ("stop_below", ""),
         ("share", "1e-1"),  # as YAML reads it
         ("every", None),
     ],

@@ -144,7 +144,7 @@ def test_an_interrupted_confirmation_says_how_many_failures_are_left(monkeypatch
     assert main(["fuzz", *arguments, "--workers", "0", "--out", str(tmp_path / "run")]) == INTERRUPTED
     said = " ".join(capsys.readouterr().err.split())
     count = int(said.partition("Confirming ")[2].split()[0])
-    assert f"{count - 1} of {count} failures are not confirmed yet" in said
+    assert f"Not confirmed yet: {count - 1} of {count} failures" in said
     assert "resume with:" in said
 
 
