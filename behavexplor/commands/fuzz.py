@@ -329,8 +329,8 @@ def _checked_workers(workers: int | None, cluster: str | None) -> int:
 
 def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
     in_file = read_config(file) if file else {}
-    check_said_twice(in_file, given, file or "")
     values = {**in_file, **given, "specs": (*in_file.get("specs", ()), *given.get("specs", ()))}
+    check_said_twice(values, given, file or "")
     trained = None
     if isinstance(values.get("ads"), str):
         values["ads"] = os.path.expanduser(values["ads"])  # noqa: PTH111 - a name, not always a path
