@@ -134,14 +134,14 @@ def _vehicle(mover: Mover, digest: str, dialect: Dialect) -> Any:
     """Return a vehicle whose reference point is the middle of its rear axle, or its center for CARLA."""
     length, width = mover.size
     height = _HEIGHT.get(mover.type, _CAR_HEIGHT)
-    base, track = _rounded(2 * axes.REAR_AXLE * length), _rounded(_TRACK * width)
+    rear, track = (dialect.axle - axes.REAR_AXLE) * length, _rounded(_TRACK * width)  # from the reference point
     category = xosc.VehicleCategory.bus if mover.type.endswith("bus") else xosc.VehicleCategory.car
     made = xosc.Vehicle(
         mover.type if dialect is STANDARD else _BLUEPRINTS.get(mover.type, _BLUEPRINT),
         category,
         xosc.BoundingBox(width, length, height, *mover.center, height / 2),
-        xosc.Axle(_STEERING, _WHEEL, track, base, _WHEEL / 2),
-        xosc.Axle(0.0, _WHEEL, track, 0.0, _WHEEL / 2),
+        xosc.Axle(_STEERING, _WHEEL, track, _rounded(rear + 2 * axes.REAR_AXLE * length), _WHEEL / 2),
+        xosc.Axle(0.0, _WHEEL, track, _rounded(rear), _WHEEL / 2),
         _MAX_SPEED,
         _MAX_ACCELERATION,
         _MAX_DECELERATION,

@@ -84,7 +84,11 @@ def test_scenes_for_carla_have_the_centers_of_vehicles(scene, tmp_path):
     _, scenario, trace = scene
     path = tmp_path / "carla.xosc"
     write(path, scenario, trace, dialect=CARLA)
-    vertex = next(group(etree.parse(path).getroot(), "NPC1").iter("Vertex")).find("Position/WorldPosition")
+    root = etree.parse(path).getroot()
+    for vehicle in root.iter("Vehicle"):  # the same distance before and behind the center
+        front, rear = (float(vehicle.find(f"Axles/{name}Axle").get("positionX")) for name in ("Front", "Rear"))
+        assert front == -rear == pytest.approx(0.3 * float(vehicle.find("BoundingBox/Dimensions").get("length")))
+    vertex = next(group(root, "NPC1").iter("Vertex")).find("Position/WorldPosition")
     x, y = trace.position[0, 1]
     assert (float(vertex.get("x")), -float(vertex.get("y"))) == pytest.approx((x, y), abs=1e-6)
     with pytest.raises(InputError, match="of another program, or for CARLA"):
