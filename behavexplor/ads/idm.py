@@ -115,9 +115,9 @@ def _leader(path: Path, scene: Floats, station: float) -> tuple[float, float]:
         if other[PRESENT] == 0.0 or there <= station:
             continue
         turned = other[HEADING] - pose_on_path(path, there)[2]
-        is_aside = abs(aside) >= (path.lane_width + other[WIDTH]) / 2 - OVERLAP
+        is_on_lane = abs(aside) < (path.lane_width + other[WIDTH]) / 2 - OVERLAP
         goes_along = math.cos(turned) > math.cos(SAME_WAY)
         gap = there - station - (other[LENGTH] + scene[EGO, LENGTH]) / 2
-        if goes_along and not is_aside and gap < nearest:
+        if is_on_lane and goes_along and gap < nearest:
             nearest, leader_speed = gap, other[SPEED] * math.cos(turned)
     return nearest, leader_speed

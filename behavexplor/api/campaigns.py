@@ -87,7 +87,7 @@ def config_of(
     Raises:
         InputError: if a value cannot be used.
     """
-    name, changes = environment_of(given.trained_in(env) or CampaignConfig.env)
+    name, changes = environment_of(given.env_or_trained_in(env) or CampaignConfig.env)
     found = {"env": name, "ads": given.name, "specs": [_spec_name(spec) for spec in specs]}
     whole = {**found, "env_config": given_config(changes, env_config), **values}
     return campaign_config({"method": default_method(name), **whole})

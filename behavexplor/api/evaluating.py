@@ -71,7 +71,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each choice
     if scenarios < 1:
         raise InputError(f"scenarios must be at least 1, got {scenarios}")
     given = given_driver(driver)
-    name, changes = environment_of(given.trained_in(env) or CampaignConfig.env)
+    name, changes = environment_of(given.env_or_trained_in(env) or CampaignConfig.env)
     values = {"env": name, "ads": given.name, "env_config": given_config(changes, env_config), **settings}
     config = campaign_config({**values, "seed": seed})
     count = worker_count(given, config.target, workers)

@@ -19,9 +19,7 @@ from behavexplor.data.untrusted import parse_yaml, read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief, unknown_name
 
-# See `CampaignConfig.revision`; raise it with every change after which campaigns differ. Since 3, in highway-env's
-# environments, records of failures are the compiled engine's, and all draws of a vehicle are one block.
-REVISION: Final = 3
+REVISION: Final = 3  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
 RUNS: Final = Path("runs")  # parent folder of run folders that were given no name, and of an experiment's runs
 LATEST: Final = "latest"  # in it, a link to the run that began or went on last
@@ -64,7 +62,7 @@ class CampaignConfig(Target):
         seed: Random seed. The same seed gives the same records.
         batch: Number N of scenarios in flight. Each is chosen without the results of the N - 1 before it; 1 is the
             paper's sequential loop. What needs no result, such as uniform draws, keeps all workers busy anyhow.
-        specs: Additional requirement: function from a trace to its signed robustness (docs/specs.md).
+        specs: Additional requirement, as package.module:attribute: function from a trace to robustness (docs/specs.md).
         options: Options of the search method; see its `Options`.
         revision: Revision of the search methods, the environments and the judgment. The same campaign has the same
             records in all versions of this program with the same revision. Campaigns of other revisions can be read,
@@ -94,9 +92,9 @@ class CampaignConfig(Target):
 
     def stated(self) -> dict[str, Any]:
         """Return what the configuration states, as values by key: first what drives where, last the conditions."""
-        names = [one.name for one in fields(CampaignConfig)]  # without those of derived classes
         conditions = [one.name for one in fields(Conditions)]
-        return {name: getattr(self, name) for name in sorted(names, key=lambda name: name in conditions)}
+        others = [one.name for one in fields(CampaignConfig) if one.name not in conditions]  # none of derived classes
+        return {name: getattr(self, name) for name in (*others, *conditions)}
 
     def to_yaml(self) -> str:
         """Return the whole configuration as YAML, which reproduces the campaign when it is read from a file.
@@ -124,10 +122,10 @@ class StoredConfig:
 
 
 def check_said_twice(values: Mapping[str, Any], given: Mapping[str, Any], file: str) -> None:
-    """Check that trust and confinement in a file were also given on the command line; alone, they do not count.
+    """Check that trust and `unconfined` in a file were also given on the command line; alone, they do not count.
 
     Raises:
-        InputError: if something does not; the message names the flag.
+        InputError: if something was not; the message names the flag.
     """
     trusted = values.get("trust")
     for digest in trusted if isinstance(trusted, Iterable) and not isinstance(trusted, str) else ():
@@ -195,7 +193,7 @@ def check_revision(config: CampaignConfig, what: str) -> None:
 
 
 def read_yaml(path: Path, example: str = "env: intersection-straight") -> dict[str, Any]:
-    """Read the keys and values in a YAML file. `example` is one of them, for the message that there are none.
+    """Read the keys and values in a YAML file. If it has none, the error message gives `example` as one.
 
     Raises:
         InputError: if the file cannot be read, is too long, or holds no mapping.

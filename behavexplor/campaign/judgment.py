@@ -29,11 +29,11 @@ class Judgment:
     trace: Trace
     result: Result
     members: Sequence[str]  # the members of a record's JSON that tell the result, see `Record.members_around`
-    scenario: str | None = None  # the scenario as JSON, if a judge has drawn it again
+    scenario: str | None = None  # the scenario as JSON, if its worker drew it and a judge therefore has, too
 
 
 def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec]) -> Judgment:
-    """Judge an execution by its trace as bytes, and by how the ADS failed; None if it did not.
+    """Judge an execution, given its trace as bytes and, in `failure`, how the ADS failed; None if it did not.
 
     Raises:
         ADSError: if the data is no trace.
@@ -105,7 +105,7 @@ def repeat_execution(executor: Executor, execution: Execution) -> Repetition:
 
 
 def _misjudged(record: Record, found: Result) -> str:
-    """Return what a record says otherwise than the judgment of its trace, in words; empty if nothing.
+    """Return in words how a record contradicts the judgment of its trace; empty if it does not.
 
     Specs of users are left out, because their code is not run for this.
     """
@@ -114,7 +114,7 @@ def _misjudged(record: Record, found: Result) -> str:
     true: dict[str, Any] = {"end": found.end, "duration": found.duration, "violated": [*found.violated]}
     if record.duration is not None:
         said["duration"] = record.duration
-    if ours.issuperset(record.violated):  # else, class and fault can be by a spec of a user
+    if ours.issuperset(record.violated):  # else, class and fault may come from a user's spec
         said |= {"class": record.violation_class, "fault": record.fault}
         true |= {"class": found.violation_class, "fault": found.fault}
     differing = [name for name, value in said.items() if value != true[name]]
@@ -139,10 +139,10 @@ def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Itera
 
 
 def confirmation(executor: Executor, execution: Execution, original: "Future[bytes] | None" = None) -> Confirmation:
-    """Compare a recorded execution with one in highway-env; if they differ, also with another one in the engine.
+    """Compare a recorded execution with one in highway-env; if they differ, also with a second one in the engine.
 
-    The latter tells a driver or environment that does not do the same twice from an error of this package. `original`
-    is the execution in highway-env, if that has begun.
+    If the second one is equal, the engines disagree, an error of this package; else the driver or the environment does
+    not do the same twice. `original` is the execution in highway-env, if that has begun.
     """
     original = original or executor.submit(ORIGINAL, execution.scenario.to_json().encode())
     recorded = execution.record.error or execution.load_trace()
@@ -152,7 +152,7 @@ def confirmation(executor: Executor, execution: Execution, original: "Future[byt
     again = executor.submit(EXECUTE, execution.scenario.to_json().encode())
     if difference(recorded, _outcome(again)) is None:
         return Confirmation("disagrees", f"the compiled engine and highway-env disagree: {apart}")
-    words = "the driver or the environment goes on otherwise in the same scenario, by chance or by memory"
+    words = "the driver or the environment does not do the same twice, as if it drew at random or remembered episodes"
     return Confirmation("changes", words)
 
 

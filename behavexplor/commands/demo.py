@@ -49,9 +49,9 @@ def demo(
     with Meter(sys.stderr, steps, "steps", quiet=False) as meter:
         model = train_small_policy(folder, steps, meter.show)
     run = folder / "run"
-    code = _run("fuzz", "--ads", model, "--budget", budget, "--out", run) or _run("report", run)
-    if code != OK:
-        return code
+    for words in (("fuzz", "--ads", model, "--budget", budget, "--out", run), ("report", run)):
+        if (code := _run(*words)) != OK:
+            return code
     if browser:
         webbrowser.open((run / PAGE).resolve().as_uri())
     return OK

@@ -329,7 +329,8 @@ def _checked_workers(workers: int | None, cluster: str | None) -> int:
 
 def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
     in_file = read_config(file) if file else {}
-    values = {**in_file, **given, "specs": (*in_file.get("specs", ()), *given.get("specs", ()))}
+    specs = campaign_config({"specs": in_file.get("specs", ())}).specs
+    values = {**in_file, **given, "specs": (*specs, *given.get("specs", ()))}
     check_said_twice(values, given, file or "")
     trained = None
     if isinstance(values.get("ads"), str):

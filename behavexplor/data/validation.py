@@ -72,7 +72,8 @@ def _sentence(error: ValidationError, what: str) -> InputError:
     if isinstance(cause, InputError):
         return cause
     place = ".".join(str(part) for part in first["loc"])
-    return InputError(f"{place} of the {what}: {first['msg']}, got {brief(first['input'])}")
+    message = first["msg"].replace("valid tuple", "list")  # as YAML and JSON have it
+    return InputError(f"{place} of the {what}: {message}, got {brief(first['input'])}")
 
 
 def _refuse_unknown(kind: type[Any], values: Mapping[str, Any], what: str) -> None:

@@ -165,7 +165,7 @@ def _connector(leg: str, side: str, offset: float, movement: str) -> Lane:
 
 
 def _crossing_lines() -> tuple[Floats, tuple[str, ...]]:
-    """Return line segments and their kinds, shape (segments, 2, 2) [m].
+    """Return the illegal lines, shape (segments, 2, 2) [m], and their kinds.
 
     They are each leg's double yellow line and curbs, then the curbs around the corners as chords.
     """

@@ -36,7 +36,7 @@ def environment_id(name: str) -> str:
             `ENTRY_POINTS`.
 
     Raises:
-        InputError: if there is no such environment.
+        InputError: if there is no such environment. Names of other modules and namespaces are not checked.
     """
     name = PAPERS_NAMES.get(name, name)
     if name in behavexplor.FUNCTIONAL_SCENARIOS:
@@ -83,7 +83,7 @@ def is_highway(name: str) -> bool:
 
 
 def check_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
-    """Check the keys of an environment of highway-env, warn about each that it ignores, and return these.
+    """Check a configuration of highway-env, warn of each key that the environment ignores, and return these keys.
 
     Raises:
         InputError: if a key inside the observation or the action is unknown, or a number is given as a text.
@@ -106,7 +106,7 @@ def check_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
 
 
 def default_config(name: str) -> dict[str, Any]:
-    """Return the whole configuration of an environment of highway-env as it is registered; empty for any other."""
+    """Return the whole configuration of an environment as it is registered; empty if it has none."""
     with closing(make_registered(name, {})) as made:
         config: dict[str, Any] = getattr(made.unwrapped, "config", {})
     return config
@@ -177,7 +177,7 @@ def make_recorded(setup: Setup) -> Any:
 
 
 def _check_ego(name: str, env: gymnasium.Env[Any, Any]) -> None:
-    """Refuse an environment with more or fewer than one ego, or with tuples for several: one driver drives one."""
+    """Refuse an environment without exactly one ego, or with tuples for several egos, since a driver drives one."""
     made: Any = env.unwrapped
     count = len(made.controlled_vehicles)
     if count != 1:
@@ -207,8 +207,8 @@ def make_vector_env(
 ) -> VectorEnv[Any, Any, Any] | None:
     """Make the vector form of an environment of `make_env`, with autoreset disabled; None if it has none.
 
-    The vector form of a highway-env environment begins its episodes in `env`; with `changes`, which replace keys of the
-    configuration, it has none. Without `rewards`, a compiled environment computes none, and is faster.
+    `changes` replace keys of the configuration. The vector form of a highway-env environment begins its episodes in
+    `env`, and takes no `changes`. Without `rewards`, a compiled environment computes none, and is faster.
 
     Raises:
         InputError: if the vector form does not support the configuration.

@@ -71,7 +71,8 @@ def write_scene(
     act = xosc.Act("motion", _at(0.0, dialect), stop if dialect is CARLA else None)  # ScenarioRunner stops acts only
     for mover in scene.movers:
         rows = _rows(mover, dialect)
-        written = replace(mover, speed=_first_speed(mover), center=(_rounded(dialect.axle * mover.size[0]), 0.0))
+        speed = _rounded(mover.speed) if mover.time[0] == 0 else 0.0  # the file has none for one that appears later
+        written = replace(mover, speed=speed, center=(_rounded(dialect.axle * mover.size[0]), 0.0))
         if as_routes and mover.script is not None:
             profile = _speed_profile(mover.script)
             rows = rows[:1]
@@ -171,11 +172,6 @@ def _rows(mover: Mover, dialect: Dialect) -> Floats:
     left_out = stands[:-1] & stands[1:] & ~first_settled
     rows = np.round(np.column_stack([mover.time, pose]), axes.DIGITS) + 0.0  # no negative zeros
     return np.asarray(rows[~left_out])
-
-
-def _first_speed(mover: Mover) -> float:
-    """Return the speed with which a vehicle begins; 0 if it appears later, since the file cannot say it."""
-    return _rounded(mover.speed) if mover.time[0] == 0 else 0.0
 
 
 def _begin(init: Any, mover: Mover, row: Floats) -> None:

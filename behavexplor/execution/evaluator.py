@@ -33,6 +33,8 @@ LOGICAL: Final = "logical"
 ROAD: Final = "road"
 DRAWS: Final = "draws"
 
+_JIT_LOGGER: Final = "behavexplor.jit"  # logger that tells that the user has to wait, which is no warning about an ADS
+
 
 class Evaluator(Service):
     """Executes scenarios, checks the ADS before a campaign, and reports the fingerprint that results depend on.
@@ -46,7 +48,7 @@ class Evaluator(Service):
         # whether the ADS is third-party code, for which this process gives up rights
         self.is_confined = needs_confinement(self.target)
         self._lock_step = lock_step
-        self.driver: ADS | None = None  # drives in place of the target's ADS; None: nothing does
+        self.driver: ADS | None = None  # drives in place of the target's ADS; None if that drives
         self.simulation: Simulation  # from `begin` on
         self.functions: Mapping[str, Callable[[bytes], bytes]] = {
             EXECUTE: self.execute,
@@ -54,10 +56,10 @@ class Evaluator(Service):
             PREFLIGHT: self.preflight,
             LOGICAL: self.logical,
             ROAD: self.road,
-            DRAWS: self.draws,
+            DRAWS: self.can_draw,
             FINGERPRINT: fingerprint,
         }
-        self.batch: ScenarioBatch | None = None  # scenarios in lock-step; None if the ADS or the environment cannot
+        self.batch: ScenarioBatch | None = None  # executes scenarios in lock-step; None if ADS or environment cannot
         self._unprevented: tuple[str, ...] = ()  # what this system cannot prevent the ADS from doing
         self._notices: list[str] = []
 
@@ -111,7 +113,7 @@ class Evaluator(Service):
         return trace.to_bytes()
 
     def logical(self, _: bytes) -> bytes:
-        """Return the logical scenario of a highway-env environment, as the ADS declares it, as JSON; "" for others."""
+        """Return a highway-env environment's logical scenario, which depends on the ADS, as JSON; b"" for others."""
         return self.simulation.logical.to_json().encode()
 
     def road(self, _: bytes) -> bytes:
@@ -119,7 +121,7 @@ class Evaluator(Service):
         road: Any = getattr(self.simulation.env, "road_shape", None)
         return road().to_json().encode() if road is not None else b""
 
-    def draws(self, _: bytes) -> bytes:
+    def can_draw(self, _: bytes) -> bytes:
         """Return whether the ADS could draw its actions: one byte if so, none otherwise."""
         return b"1" if getattr(self.simulation.ads, "noise", 0) else b""
 
@@ -227,14 +229,11 @@ def _scenario(data: bytes, simulation: Simulation) -> Scenario:
     return parse_scenario(data.decode())
 
 
-_JIT_LOGGER: Final = "behavexplor.jit"  # it tells that the user has to wait, which is no warning about an ADS
-
-
 @contextmanager
 def collected_notices() -> Iterator[list[str]]:
-    """Yield a list to which logged warnings and Python's warnings are added as printable lines, instead of being shown.
+    """Yield a list to which all that is logged from WARNING on is added, as printable lines, instead of being shown.
 
-    Python's warnings are added at the end of the context only.
+    The same holds for Python's warnings, which are added at the end of the context only.
     """
     notices: list[str] = []
     handler = _Collector(notices)

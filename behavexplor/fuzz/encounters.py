@@ -38,9 +38,9 @@ LINE_WEIGHT: Final = 10.0  # a meter to a line counts as this many meters to a v
 FAR: Final = 200.0  # distance from the destination at which a return to the lane has a degree of 1 [m]
 LEAST: Final = 0.01  # least degree of a near miss, so that 0 means a violation
 _CLOSEST_FRAMES: Final = 8  # frames with the nearest centers, in which the distance between the boxes is computed
-EMPTY_ROAD, AIMED, TUNED, REDRAWN = "empty-road", "aimed", "tuned", "redrawn"  # origins of candidates
 _SCALE: Final = 3.0  # a degree of this size halves the weight of a niche
 _ATTEMPTS: Final = 1000
+EMPTY_ROAD, AIMED, TUNED, REDRAWN = "empty-road", "aimed", "tuned", "redrawn"  # origins of candidates
 
 
 class NearMiss(NamedTuple):
@@ -56,7 +56,7 @@ def near_misses(trace: Trace, verdict: Verdict, drive: Drive, reach: float) -> l
     """Return the violation of a failed execution, or the near misses of one that passed.
 
     A collision that an NPC caused teaches nothing about the ego, so it is left out. An execution in which the driving
-    system failed is left out, too. A vehicle farther away than `reach` [m] from the ego on its drive is no near miss.
+    system failed is left out, too. `drive` is that of the trace. No vehicle farther than `reach` [m] is a near miss.
     """
     if not verdict.failed:
         return [
@@ -170,8 +170,8 @@ class EncountersOptions:
     # the ego's drive on the empty road.
     initial: Annotated[int, between(1)] = 40
     uniform_share: Annotated[float, between(0, 1)] = 0.1  # share of uniform scenarios
-    aimed_share: Annotated[float, between(0, 1)] = 0.5  # of mutants that get a vehicle aimed at their parent's drive
-    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # of mutants with a vehicle drawn anew; others have one tuned
+    aimed_share: Annotated[float, between(0, 1)] = 0.5  # share of mutants with a vehicle aimed at their parent's drive
+    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # share of mutants with one drawn anew; others have one tuned
     near: Annotated[float, between(0)] = 10.0  # greatest distance of a vehicle that counts as a near miss [m]
     elites: Annotated[int, between(1)] = 4  # number of scenarios that a niche keeps
     failure_cost: Annotated[float, between(0)] = 0.5  # number of tries that a failure counts as

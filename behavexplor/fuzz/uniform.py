@@ -20,7 +20,7 @@ class Uniform:
     """Uniform sampling: every scenario is drawn independently, with each parameter uniform in its range."""
 
     Options: ClassVar[type] = UniformOptions
-    foreseen = sys.maxsize
+    foreseen = sys.maxsize  # no result changes any candidate, see `behavexplor.fuzz.search.SearchMethod`
 
     def __init__(self, logical: LogicalScenario, seed: int, options: UniformOptions) -> None:  # noqa: ARG002
         self._logical = logical
@@ -28,7 +28,7 @@ class Uniform:
         self._asked = 0
 
     def ask(self) -> Candidate:
-        """Return the next scenario, which is drawn by `draws(seed, number)` when it is needed."""
+        """Return the next scenario. It is not drawn yet: see `UniformCandidate`."""
         number = self._asked
         self._asked += 1
         return UniformCandidate(number, self._logical, self._seed)

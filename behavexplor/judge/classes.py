@@ -2,8 +2,8 @@
 
 Two failures belong to one class if a person would describe them with the same words: the ego's maneuver, the direction
 from which the other vehicle came, and its size. The bounds between classes lie where traffic has gaps, such as between
-two directions at a crossing. In highway-env's own environments, the maneuver is read from the signals that
-`behavexplor.envs.highway.episode_record` makes of the ego's lanes (`behavexplor.judge.lanes`).
+two directions at a crossing. In highway-env's own environments, maneuver and direction are read from the signals that
+`behavexplor.envs.highway.episode_record` makes of the vehicles' lanes (`behavexplor.judge.lanes`).
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ _VEHICLES: Final = {  # the other vehicle of a collision, by the conflict, if it
     "oncoming": ("oncoming {}", "oncoming {} that had turned"),
     "crossing-from-right": ("{} crossing from the right", "{} that had turned in from the right"),
     "crossing-from-left": ("{} crossing from the left", "{} that had turned in from the left"),
-    "behind": ("{} behind", ""),  # from here on, where it was a second before a crash in highway-env
+    "behind": ("{} behind", ""),  # this and the rest only in highway-env: mostly where it was a second before the crash
     "ahead-on-the-right": ("{} ahead in a lane to the right", ""),
     "ahead-on-the-left": ("{} ahead in a lane to the left", ""),
     "behind-on-the-right": ("{} behind in a lane to the right", ""),
@@ -73,7 +73,6 @@ _WHOLE: Final = {  # classes without parts: of executions in which the driving s
     "error/memory": "The driving system ran out of memory",
     "error/hang": "The driving system did not answer in time",
     "error/crash": "The process of the driving system died",
-    "error/differs": "It went otherwise when highway-env repeated it, so nothing is known about the driving system",
 }
 
 
@@ -83,8 +82,9 @@ class ViolationClass:
 
     spec: str  # "R1", "R2", "R3", or the name of a user's spec
     maneuver: str  # the ego's maneuver
-    # position or origin of the other vehicle (R1), side of the touched line (R2), or end of the episode (R3 and users'
-    # specs)
+
+    # position or origin of the other vehicle, or "obstacle" (R1); side of the touched line, or "off-" and the side on
+    # which the ego left the road (R2); or end of the episode (R3 and users' specs)
     conflict: str
     # second distinction: size of the other vehicle (R1), speed of the ego (R2), or the vehicle ahead of the ego or its
     # way past the destination (R3)
@@ -112,8 +112,8 @@ class ViolationClass:
     def words(self) -> str:
         """Class and detail as a sentence, such as "Collision with an oncoming car-sized vehicle; the ego was ..."."""
         if self.spec == R2:
+            what = "Left the road" if self.conflict.startswith(_OFF) else "Touched a line"
             side = self.conflict.removeprefix(_OFF)
-            what = "Touched a line" if side == self.conflict else "Left the road"
             return f"{what} on its {side} {_phrase(self.mark)} while {_phrase(self.maneuver)}"
         if self.spec == R1:
             sentence = f"Collision with {_vehicle(self.conflict, self.mark)}"
@@ -128,7 +128,7 @@ def words_of(class_id: str) -> str:
     """Return the class in a record as a sentence, without the details that only the trace tells.
 
     The class of an execution in which the driving system failed is "error/" and the kind of its failure. That of a
-    collision without another vehicle is "R1". A class that is not known is its own sentence.
+    collision without a known vehicle or obstacle is "R1". A class that is not known is its own sentence.
     """
     kind = _WHOLE.get(class_id)
     if kind is not None:
@@ -178,8 +178,8 @@ def event_class(trace: Trace, event: ViolationEvent, end: str | None = None) -> 
 
 def _collision(trace: Trace, event: ViolationEvent) -> ViolationClass:
     frame, npc = event.frame, event.partner
-    bearing, size = bearing_of(trace, frame, npc), "large" if trace.size[npc, 0] > LARGE else "car-sized"
-    motion = motion_of(trace, frame, npc)
+    bearing, motion = bearing_of(trace, frame, npc), motion_of(trace, frame, npc)
+    size = "large" if trace.size[npc, 0] > LARGE else "car-sized"
     if bearing == "obstacle":
         size = motion = ""
     ego = ", ".join(filter(None, (behavior_of(trace, frame), f"with contact at its {touched_side(trace, frame, npc)}")))
@@ -190,7 +190,7 @@ def _collision(trace: Trace, event: ViolationEvent) -> ViolationClass:
 def _line(trace: Trace, event: ViolationEvent) -> ViolationClass:
     frame = event.frame
     if event.partner < 0:
-        side = f"{_OFF}{'right' if route_offsets(trace)[frame] > 0 else 'left'}"
+        side = _OFF + ("right" if route_offsets(trace)[frame] > 0 else "left")
     else:
         side = _side_of_line(trace, frame, trace.illegal_lines[event.partner])
     speed = "slow" if speed_of(trace, frame, 0) < SLOW else "fast"

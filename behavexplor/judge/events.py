@@ -29,9 +29,9 @@ class ViolationEvent:
 
 
 def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | None:
-    """Return the event of the first of the `violated` specs, by name; None without one, or if no contact is found.
+    """Return the event of the first violated spec; None without one, if the ADS failed, or if no contact is found.
 
-    The order is R1, R2, R3, since a collision keeps the ego from its destination, then the specs of the user.
+    The order is R1, R2, R3, since a collision keeps the ego from its destination, then the other names in `violated`.
     """
     ranked = [*(name for name in REQUIREMENTS if name in violated), *violated]
     if not ranked or ranked[0] == ERROR:

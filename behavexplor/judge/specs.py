@@ -64,7 +64,7 @@ class Collision:
     name: str = field(default="collision", init=False)
 
     def degree(self, trace: Trace) -> float:
-        """Return D_b [m], or `NOTHING_NEAR` without any NPC. In highway-env environments, only a crash gives 0."""
+        """Return D_b [m], or `NOTHING_NEAR` without any NPC. In highway-env, it is 0 if and only if the ego crashed."""
         if CRASHED not in trace.signals:
             return _npc_distance(trace)
         return 0.0 if self.violated(trace) else max(_npc_distance(trace), RESOLUTION)
@@ -160,7 +160,7 @@ def judge(trace: Trace, specs: Sequence[Spec] = SPECS) -> Verdict:
     """Judge a trace by all specs.
 
     Raises:
-        InputError: if two specs have the same name, a degree is not a finite number, or a user's spec fails.
+        InputError: if two specs have the same name, a degree is not a finite number, or a spec raises it.
     """
     degrees: dict[str, float] = {}
     for spec in specs:
@@ -213,7 +213,7 @@ def _line_distance(trace: Trace) -> float:
 def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
     """Return the least of n distances [m], given cheap bounds. A value of at most a trace's resolution counts as 0.
 
-    `lower` bounds each distance, shape (n,), and `upper` the least one. `exact` computes those of given indices.
+    `lower` are lower bounds, shape (n,), `upper` is an upper bound of the least. `exact` computes distances by index.
     """
     open_ = np.flatnonzero(lower - _TOLERANCE <= upper)
     order = open_[np.argsort(lower[open_], kind="stable")]
@@ -249,13 +249,13 @@ def final_distance(trace: Trace) -> float:
 def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
     """Return the poses of all vehicles up to the moment of arrival: positions (T, N, 2) [m], headings (T, N) [rad].
 
-    An episode ends in the first frame in which the ego's center is within `ARRIVAL_DISTANCE` of its destination. This
-    frame lies behind the moment of arrival, by up to the speed times the time step (0.56 m at the limit and 20 Hz). How
-    far is an accident of the sampling, and greater than the differences between most episodes. So it must not count.
-
     The last frame of an ego that arrived is moved back to the moment at which its center came within
     `ARRIVAL_DISTANCE` of the destination, at the earliest to the frame before. All vehicles are interpolated linearly
     between these two frames. The poses of an episode with any other end are those of the trace.
+
+    An episode ends in the first frame in which the ego's center is within this distance. That frame lies behind the
+    moment of arrival, by up to the speed times the time step (0.56 m at the speed limit and 20 Hz). How far is an
+    accident of the sampling, and greater than the differences between most episodes, so this way must not count.
     """
     share = _arrival_share(trace) if trace.end == ARRIVED and len(trace.time) > 1 else 1.0
     if share == 1.0:

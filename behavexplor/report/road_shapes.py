@@ -14,7 +14,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 
 _CURVE_POINTS: Final = 13  # points along a curved lane
-_MARGIN: Final = 60.0  # distance from the vehicles within which the lines between lanes are shown [m]
+_MARGIN: Final = 60.0  # distance from the egos' drives within which the dashes between lanes are shown [m]
 
 
 def known_road(env: str, run: Path) -> RoadShape | None:
@@ -53,12 +53,13 @@ def line_kinds(shape: RoadShape | None, trace: Trace) -> tuple[str, ...]:
     return shape.line_kinds if shape is not None and known else (CURB,) * len(trace.illegal_lines)
 
 
-def road_values(shape: RoadShape | None, trace: Trace) -> dict[str, Any]:
-    """Return the road as JSON values, with lengths in meters. If it is None, only a trace's lines and route are known.
+def road_values(shape: RoadShape | None, traces: list[Trace]) -> dict[str, Any]:
+    """Return the road under traces as JSON values, with lengths in meters. Without a `shape`, it has lines and a route.
 
-    All executions have the same illegal lines, so any trace will do.
+    All executions have the same illegal lines, so they are those of the first trace.
     """
-    low, high = trace.position[:, 0].min(0) - _MARGIN, trace.position[:, 0].max(0) + _MARGIN
+    trace, drives = traces[0], np.concatenate([trace.position[:, 0] for trace in traces])
+    low, high = drives.min(0) - _MARGIN, drives.max(0) + _MARGIN
     kinds = line_kinds(shape, trace)
     lines = [{"kind": kind, "ends": _points(line)} for kind, line in zip(kinds, trace.illegal_lines, strict=True)]
     if shape is not None:

@@ -171,7 +171,7 @@ def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first:
         places=_places(run, found, records),
         has_road=shape is not None,
         left_out=len(traces) < len(wanted) or shown != list(gallery),
-        values={"road": road_values(shape, next(iter(traces.values()))), "replays": replays},
+        values={"road": road_values(shape, list(traces.values())), "replays": replays},
     )
 
 

@@ -90,7 +90,7 @@ def run_forks(
 ) -> list[Trace]:
     """Continue a recorded execution of the rule planner along several forks, and return the trace of each.
 
-    The replays have the duration `seconds`, or a longer one; None is for whole executions.
+    `seconds` is the duration after which the replays may end early; None for whole executions.
 
     Raises:
         TypeError: if the ADS is not the rule planner.
@@ -128,7 +128,7 @@ class Cause:
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:
-    """Return why the rule planner violated a spec, the first of R1, R2 and R3; None if it did not, or did not drive.
+    """Return the cause of the first violated spec (R1, R2, R3); None if none is, or if the ADS is not the rule planner.
 
     The simulation must have the ADS and the environment of the recorded execution, and the trace its decision log.
     """

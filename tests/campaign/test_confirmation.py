@@ -165,7 +165,7 @@ def test_a_driver_that_changes_is_not_taken_for_an_error_of_the_engine(tmp_path,
         ready.campaign.confirm()
     assert [one.state for one in read_confirmations(tmp_path).values()] == ["changes"]
     said = read_confirmations(tmp_path)[0].said_of(0)
-    assert "not repeatable: the driver or the environment goes on otherwise" in said
+    assert "not repeatable: the driver or the environment does not do the same twice" in said
 
 
 def test_failures_in_traffic_that_draws_elsewhere_are_said_to_be_not_repeatable(tmp_path, monkeypatch):

@@ -150,6 +150,13 @@ def test_a_list_where_a_configuration_is_meant_is_named(tmp_path, capsys):
         assert "env.yaml must contain keys and values, such as `lanes_count: 3`" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("value", ["", "5", "my:spec"])
+def test_specs_in_a_file_are_a_list(tmp_path, capsys, value):
+    (tmp_path / "file.yaml").write_text(f"specs: {value}\n")
+    assert main(["fuzz", "--config", str(tmp_path / "file.yaml"), "--spec", "my:other"]) == BAD_INPUT
+    assert "specs of the configuration: Input should be a list, got" in capsys.readouterr().err
+
+
 def test_without_docstrings_commands_run_and_have_no_help(tmp_path):
     told = subprocess.run(
         [sys.executable, "-OO", "-m", "behavexplor", "fuzz", "--help"], capture_output=True, text=True, check=False

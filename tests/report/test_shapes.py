@@ -2,6 +2,7 @@
 
 import re
 from contextlib import closing
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -138,7 +139,7 @@ def test_a_collision_is_marked_where_both_vehicles_are(executions, found):
 def test_the_road_of_our_environments_is_known(name, executions):
     env = gymnasium.make(name if "/" in name else f"behavexplor/{name}-v0")
     road = env.unwrapped.logical.roadmap
-    values = road_values(known_road(name, NO_RUN), executions[0].load_trace())
+    values = road_values(known_road(name, NO_RUN), [executions[0].load_trace()])
     assert len(values["lanes"]) == len(road.lanes)
     assert set(values["routes"]) == set(road.routes)
     ends = [np.hypot(*np.subtract(*dash)) for dash in values["dashes"]]
@@ -147,9 +148,9 @@ def test_the_road_of_our_environments_is_known(name, executions):
 
 def test_double_yellow_lines_and_curbs_are_told_apart(executions):
     trace = executions[0].load_trace()
-    kinds = {line["kind"] for line in road_values(known_road("intersection-straight", NO_RUN), trace)["lines"]}
+    kinds = {line["kind"] for line in road_values(known_road("intersection-straight", NO_RUN), [trace])["lines"]}
     assert kinds == {"double-yellow", "curb"}
-    assert {line["kind"] for line in road_values(known_road("lane-change", NO_RUN), trace)["lines"]} == {"curb"}
+    assert {line["kind"] for line in road_values(known_road("lane-change", NO_RUN), [trace])["lines"]} == {"curb"}
 
 
 def test_the_road_of_a_stock_environment_is_in_its_run(tmp_path, executions):
@@ -165,11 +166,22 @@ def test_the_road_of_a_stock_environment_is_in_its_run(tmp_path, executions):
         known_road("merge-v0", tmp_path)
 
 
+def test_dashes_are_drawn_along_all_drives(executions):
+    road = RoadShape((np.zeros((4, 2)),), striped=(np.array([[0.0, 0.0], [3000.0, 0.0]]),))
+    early = executions[0].load_trace()
+    late = replace(early, position=early.position - early.position[0, 0] + [2000.0, 0.0])
+    early = replace(early, position=early.position - early.position[0, 0])
+    starts = [dash[0][0] for dash in road_values(road, [early, late])["dashes"]]
+    assert min(starts) == 0.0
+    assert max(starts) > 2000.0
+    assert max(dash[0][0] for dash in road_values(road, [early])["dashes"]) < 500.0
+
+
 @pytest.mark.parametrize("name", ["strangers:package/road-v0", "CartPole-v1", "behavexplor/nowhere-v0", "../x"])
 def test_no_environment_of_others_is_made(name, executions, monkeypatch):
     monkeypatch.setattr(gymnasium, "make", lambda *_, **__: pytest.fail("made"))
     assert known_road(name, NO_RUN) is None
-    values = road_values(None, executions[0].load_trace())
+    values = road_values(None, [executions[0].load_trace()])
     assert values["lanes"] == []
     assert values["lines"]
 

@@ -19,8 +19,8 @@ import torch
 from stable_baselines3.common.policies import BasePolicy
 
 from behavexplor.ads.sb3.archive import WEIGHTS, Archive
+from behavexplor.ads.sb3.arrays import as_array, as_mapping
 from behavexplor.ads.sb3.inert import Inert, Name
-from behavexplor.ads.sb3.normalization import as_array, as_mapping
 from behavexplor.errors import InputError, brief, sentence
 
 # Modules whose classes a policy may be built from; any other class is code that came with the file.

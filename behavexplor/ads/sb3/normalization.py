@@ -1,4 +1,4 @@
-"""Arrays in pickles, which are not executed; and the statistics by which `VecNormalize` scaled observations."""
+"""Statistics by which `VecNormalize` of Stable-Baselines3 scaled the observations of a policy."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,83 +9,14 @@ from typing import Any, Final, Self
 import numpy as np
 
 from behavexplor.ads.sb3.archive import suspicions_about
+from behavexplor.ads.sb3.arrays import as_array, as_mapping
 from behavexplor.ads.sb3.inert import Inert, check_extent, read_pickle
 from behavexplor.data.array_types import Array, Floats, Singles
 from behavexplor.data.observations import Observation
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
-_RECONSTRUCT: Final = {"numpy._core.multiarray._reconstruct", "numpy.core.multiarray._reconstruct"}
-_FROM_BUFFER: Final = {"numpy._core.numeric._frombuffer", "numpy.core.numeric._frombuffer"}
-_SCALAR: Final = {"numpy._core.multiarray.scalar", "numpy.core.multiarray.scalar"}
 MAX_BYTES: Final = 50_000_000  # greatest size of a file of statistics
-
-
-def as_array(value: Any) -> Array:
-    """Return the array or scalar of numbers that numpy would make.
-
-    Raises:
-        ValueError: if the value is not an array or scalar of numbers.
-    """
-    if isinstance(value, (bool, int, float)):
-        return np.asarray(value)
-    if not isinstance(value, Inert):
-        raise ValueError(f"expected an array, got {type(value).__name__}")  # noqa: TRY004 - it comes from a file
-    try:
-        return _decoded(value)
-    except (TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
-        raise ValueError(f"an array that cannot be read: {error}") from None
-
-
-def as_arrays(value: Any) -> Array | dict[str, Array]:
-    """Return an array, or a dictionary of arrays.
-
-    Raises:
-        ValueError: if the value is neither.
-    """
-    mapping = as_mapping(value)
-    return as_array(value) if mapping is None else {str(key): as_array(entry) for key, entry in mapping.items()}
-
-
-def as_mapping(value: Any) -> dict[Any, Any] | None:
-    """Return a dictionary or ordered dictionary; None if the value is neither."""
-    if isinstance(value, Inert) and value.name == "collections.OrderedDict":
-        return dict(value.items)
-    return value if isinstance(value, dict) else None
-
-
-def _decoded(value: Inert) -> Array:
-    if value.name in _RECONSTRUCT:
-        _, shape, dtype, in_columns, data = value.state
-        order = "F" if in_columns else "C"
-    elif value.name in _FROM_BUFFER:
-        data, dtype, shape, order = value.arguments
-    elif value.name in _SCALAR:
-        (dtype, data), shape, order = value.arguments, (), "C"
-    else:
-        raise ValueError(f"expected an array, got {value.name}")
-    flat = np.frombuffer(_bytes(data), dtype=_dtype(dtype))
-    return flat.reshape(shape, order="F" if order == "F" else "C").copy()
-
-
-def _bytes(data: Any) -> bytes:
-    if isinstance(data, Inert):  # bytes in protocol 2: text to be encoded, or no arguments if empty
-        text, encoding = data.arguments or ("", "latin1")
-        if encoding not in ("latin1", "latin-1"):
-            raise ValueError(f"bytes encoded as {encoding}")
-        return str(text).encode("latin-1")
-    if not isinstance(data, (bytes, bytearray)):
-        raise TypeError(f"expected bytes, got {type(data).__name__}")
-    return bytes(data)
-
-
-def _dtype(value: Any) -> np.dtype[Any]:
-    if not isinstance(value.arguments[0], str):
-        raise TypeError("its type has no name")
-    dtype: np.dtype[Any] = np.dtype(value.arguments[0])
-    if dtype.kind not in "fiub":
-        raise ValueError(f"an array of {dtype}")
-    return dtype.newbyteorder(value.state[1]) if value.state and value.state[1] in "<>" else dtype
 
 
 @dataclass(frozen=True)
@@ -100,7 +31,7 @@ class Moments:
 class Statistics:
     """Statistics that scale observations as `VecNormalize` of Stable-Baselines3 does."""
 
-    # moments of the observations; for observations that are dictionaries, by key, those of each array that is scaled
+    # moments of the observations; if those are dictionaries, the moments of each array that is scaled, by its key
     moments: Moments | Mapping[str, Moments]
     clip: float  # greatest absolute value after scaling
     epsilon: float  # constant added to the variance
@@ -140,7 +71,7 @@ class Statistics:
         return arrays | {key: self._scaled(arrays[key], moments) for key, moments in self.moments.items()}
 
     def of_part(self, part: Callable[[str, Moments], Moments]) -> Self:
-        """Return the statistics of a part of each array: `part` maps its key ("" for the only one) and its moments."""
+        """Return the statistics of a part of each array. `part` gets the array's key ("" without keys) and moments."""
         if isinstance(self.moments, Moments):
             return replace(self, moments=part("", self.moments))
         return replace(self, moments={key: part(key, moments) for key, moments in self.moments.items()})

@@ -14,8 +14,8 @@ import numpy as np
 from safetensors import SafetensorError, deserialize
 
 from behavexplor.ads.sb3.archive import SAVE_WEIGHTS, opened_torch, suspicions_about
+from behavexplor.ads.sb3.arrays import as_mapping
 from behavexplor.ads.sb3.inert import MAX_DEPTH, MAX_PARTS, OLD_TORCH, Inert, Name, PickleReader, TooLongError
-from behavexplor.ads.sb3.normalization import as_mapping
 from behavexplor.data.array_types import Array
 from behavexplor.data.untrusted import member, read_file
 from behavexplor.errors import InputError

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from behavexplor.ads.sb3.arrays import as_array
 from behavexplor.ads.sb3.inert import MAX_STEPS, OWN_CODE, Inert, PickleReader, TooLongError, check_extent, read_pickle
-from behavexplor.ads.sb3.normalization import as_array
 from tests.ads.sb3.models import Payload
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
