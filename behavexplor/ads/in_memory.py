@@ -23,7 +23,7 @@ class GivenDriver:
     name: str
     driver: ADS | None = None  # the driver itself; None if it is given by name
     env: str | None = None  # environment in which a model in memory was trained; None if unknown
-    is_named: bool = False  # whether the user gave the name, and not a run folder
+    is_named: bool = False  # whether the user gave the driver by this name, neither as an object nor by a run folder
 
     def env_or_trained_in(self, env: Any) -> Any:
         """Return `env` if one was chosen, or else the environment in which the driver was trained; None if unknown.

@@ -22,8 +22,8 @@ from behavexplor.errors import InputError, brief, unknown_name
 REVISION: Final = 3  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
 RUNS: Final = Path("runs")  # parent folder of run folders that were given no name, and of an experiment's runs
-LATEST: Final = "latest"  # in it, a link to the run that began or went on last
-_LONGEST: Final = 40  # part of the name of a run folder [characters]
+LATEST: Final = "latest"  # in `RUNS`, a link to the run that began or went on last
+_LONGEST: Final = 40  # of a part of the name of a run folder [characters]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class CampaignConfig(Target):
-    """One search method x ADS x environment x seed, with a budget.
+    """One search method x ADS x environment x seed, with a budget. All other settings are in `Target`.
 
     Attributes:
         method: Search method, or package.module:attribute of your own.
@@ -91,9 +91,9 @@ class CampaignConfig(Target):
             raise InputError(f"The batch {self.batch} must lie between 1 and 10000")
 
     def stated(self) -> dict[str, Any]:
-        """Return what the configuration states, as values by key: first what drives where, last the conditions."""
+        """Return the values of the fields by name, those of `Conditions` last. Derived classes may have more fields."""
         conditions = [one.name for one in fields(Conditions)]
-        others = [one.name for one in fields(CampaignConfig) if one.name not in conditions]  # none of derived classes
+        others = [one.name for one in fields(CampaignConfig) if one.name not in conditions]  # no field of a subclass
         return {name: getattr(self, name) for name in (*others, *conditions)}
 
     def to_yaml(self) -> str:
@@ -122,7 +122,7 @@ class StoredConfig:
 
 
 def check_said_twice(values: Mapping[str, Any], given: Mapping[str, Any], file: str) -> None:
-    """Check that trust and `unconfined` in a file were also given on the command line; alone, they do not count.
+    """Check that `trust` and `unconfined` in a file were also given on the command line: a file alone does not count.
 
     Raises:
         InputError: if something was not; the message names the flag.
@@ -163,24 +163,24 @@ def read_config(name: str) -> dict[str, Any]:
 
 
 def stored_config(run: Path) -> StoredConfig:
-    """Return what a run folder says its campaign is.
+    """Return the configuration of the campaign in a run folder, which anyone may have written.
 
     Raises:
         InputError: if it is missing or damaged.
     """
     path = run / CONFIG
     if not path.is_file():
-        inside = next((run / RUNS).rglob(CONFIG), None)  # of an experiment, or of many campaigns
+        inside = next((run / RUNS).rglob(CONFIG), None)  # `run` may hold an experiment, or many campaigns
         way = f"name one that it holds, such as {inside.parent}" if inside else "restore the file or start a new run"
         raise InputError(f"{run} is not a run folder, or its {CONFIG} is missing: {way}")
     values = read_yaml(path)
     if not values:
         raise InputError(f"{path} is empty, so the configuration of the run is lost: restore it or start a new run")
-    return StoredConfig(run, campaign_config({"revision": 1, **values}))  # revision 1 did not state itself
+    return StoredConfig(run, campaign_config({"revision": 1, **values}))  # in revision 1, files did not state it
 
 
 def check_revision(config: CampaignConfig, what: str) -> None:
-    """Refuse a campaign that this version would continue differently; `what` names it, such as by its run folder.
+    """Refuse a campaign that this version would continue differently. `what` names it in the message.
 
     Raises:
         InputError: if the campaign has another revision.
@@ -193,7 +193,7 @@ def check_revision(config: CampaignConfig, what: str) -> None:
 
 
 def read_yaml(path: Path, example: str = "env: intersection-straight") -> dict[str, Any]:
-    """Read the keys and values in a YAML file. If it has none, the error message gives `example` as one.
+    """Read the keys and values in a YAML file; none if it is empty. The error for other content shows the `example`.
 
     Raises:
         InputError: if the file cannot be read, is too long, or holds no mapping.
@@ -237,7 +237,7 @@ def stamped_folder(name: str, root: Path = RUNS) -> Path:
 
 
 def point_to_latest(folder: Path) -> None:
-    """Let the link `LATEST` in `RUNS` lead to a run folder there, where the system has links."""
+    """Let the link `LATEST` in `RUNS` lead to a run folder, if that is in `RUNS` itself and the system has links."""
     link = folder.parent / LATEST
     if folder.parent != RUNS or (link.exists() and not link.is_symlink()):  # something of the user's
         return

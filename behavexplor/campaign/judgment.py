@@ -28,12 +28,12 @@ class Judgment:
     data: bytes  # the trace as bytes
     trace: Trace
     result: Result
-    members: Sequence[str]  # the members of a record's JSON that tell the result, see `Record.members_around`
-    scenario: str | None = None  # the scenario as JSON, if its worker drew it and a judge therefore has, too
+    members: Sequence[str]  # `result` as members of a record's JSON, for `Record.members_around`
+    scenario: str | None = None  # the scenario as JSON, if a judge drew it from its seed and number, as the worker did
 
 
 def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec]) -> Judgment:
-    """Judge an execution, given its trace as bytes and, in `failure`, how the ADS failed; None if it did not.
+    """Judge an execution by its trace as bytes. `failure` is how the ADS failed, see `ads_failure`; None if it did not.
 
     Raises:
         ADSError: if the data is no trace.
@@ -78,7 +78,7 @@ class Repetition:
     """The outcome of running an execution again.
 
     Attributes:
-        reproduced: whether it was the same again, to the last bit, and its record says what its trace shows.
+        reproduced: whether trace or failure was the same again, and the record has the trace's end, specs and class.
         words: the outcome as a sentence.
     """
 
@@ -89,16 +89,15 @@ class Repetition:
 def repeat_execution(executor: Executor, execution: Execution) -> Repetition:
     """Run a stored execution again, with an executor of the same target."""
     try:
-        again = executor.submit(EXECUTE, execution.scenario.to_json().encode()).result()
+        again = judgment(executor.submit(EXECUTE, execution.scenario.to_json().encode()).result(), None, SPECS)
     except ADSError as error:
         if execution.record.error == ads_failure(error):
             words = f"running it again, the ADS failed in the same way{error.place}"
             return Repetition(True, f"The failure was reproduced: {words}.")
         return Repetition(False, sentence(f"The execution was NOT reproduced: running it again, {error}"))
-    data = execution.load_trace().to_bytes()
-    if Trace.from_bytes(again).to_bytes() != data:
+    if again.trace.to_bytes() != execution.load_trace().to_bytes():
         return Repetition(False, "The execution was NOT reproduced: running it again gave a different trace.")
-    if apart := _misjudged(execution.record, judgment(data, None, SPECS).result):
+    if apart := _misjudged(execution.record, again.result):
         words = f"running it again gave the same trace, but its record says {apart}, as this version judges the trace"
         return Repetition(False, sentence(f"The record is NOT that of the execution: {words}."))
     return Repetition(True, "The execution was reproduced: running it again gave the same trace.")
@@ -124,7 +123,7 @@ def _misjudged(record: Record, found: Result) -> str:
 def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Iterator[Confirmation]:
     """Let highway-env itself execute the scenarios of failures, several at a time; write and yield what comes out.
 
-    Only some can be, see `behavexplor.campaign.confirmation.can_be_confirmed`.
+    Not all can be executed there, see `behavexplor.campaign.confirmation.can_be_confirmed`.
 
     Raises:
         RuntimeError: if a scenario could not be executed.
@@ -139,10 +138,10 @@ def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Itera
 
 
 def confirmation(executor: Executor, execution: Execution, original: "Future[bytes] | None" = None) -> Confirmation:
-    """Compare a recorded execution with one in highway-env; if they differ, also with a second one in the engine.
+    """Compare a recorded execution with one in highway-env; if they differ, the engine executes the scenario again.
 
-    If the second one is equal, the engines disagree, an error of this package; else the driver or the environment does
-    not do the same twice. `original` is the execution in highway-env, if that has begun.
+    If that gives the recorded execution again, the engines disagree, an error of this package; else the driver or the
+    environment does not do the same twice. `original` is the execution in highway-env, if that has begun.
     """
     original = original or executor.submit(ORIGINAL, execution.scenario.to_json().encode())
     recorded = execution.record.error or execution.load_trace()
@@ -158,6 +157,6 @@ def confirmation(executor: Executor, execution: Execution, original: "Future[byt
 
 def _outcome(future: "Future[bytes]") -> Trace | dict[str, str]:
     try:
-        return Trace.from_bytes(future.result())
+        return judgment(future.result(), None, SPECS).trace
     except ADSError as error:
         return ads_failure(error)

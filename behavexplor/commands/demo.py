@@ -40,7 +40,7 @@ def demo(
         raise missing_library("The demo", error.name, "rl") from None
     folder = out or stamped_folder("demo")
     try:
-        folder_in(folder)
+        folder_in(folder)  # creates it
     except OSError as error:
         raise InputError(f"The folder {folder} cannot be created: {error.strerror}") from None
     if any(folder.iterdir()):

@@ -106,7 +106,7 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
     """Execute a scenario, and print the outcome."""
     with start_executor(target, fewest_workers(target)) as executor:
         try:
-            data = executor.submit(EXECUTE, scenario.to_json().encode()).result()
+            result = judgment(executor.submit(EXECUTE, scenario.to_json().encode()).result(), None, SPECS).result
         except ADSError as error:
             say(sentence(f"The ADS failed: {ads_failure(error)['message']}"))
             say(f"Class: {ERROR}/{error.kind}")
@@ -114,7 +114,6 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
         except RuntimeError as error:
             say(f"{program()}: {sentence(f'The scenario could not be executed: {error}')}", file=sys.stderr)
             return EXECUTION_FAILED
-    result = judgment(data, None, SPECS).result
     ended = outcome(result.violated, result.end)
     say(wrapped(f"{logical.describe(scenario)}: {ended} after {result.duration:.2f} s"))
     if result.violation_class is not None:

@@ -49,7 +49,7 @@ def zip(  # noqa: A001 - the command's name
 
 
 def _env_of(path: Path) -> str:
-    """Return the functional scenario in the card beside a network."""
+    """Return the functional scenario in the card beside a network; an `InputError` if none can be read there."""
     env = env_in_card(path)
     if env is None:
         raise InputError(f"No file beside {path} says in which functional scenario it was trained: give --env")

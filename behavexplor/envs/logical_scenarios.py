@@ -83,7 +83,7 @@ def straight_road(start_lane: int, target_lane: int, ego_start: float, destinati
     return RoadMap(
         lanes=tuple(lanes.values()),
         npc_routes=tuple(routes),
-        ego_route=routes[target_lane],  # the ego starts beside it
+        ego_route=routes[target_lane],  # the ego starts in it, or beside it
         ego_start=ego_start,
         destination=destination,
         illegal_lines=np.array([ends for _, ends in lines]),

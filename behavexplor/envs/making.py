@@ -59,7 +59,7 @@ def highway_ids() -> list[str]:
     """Return the ids of highway-env's own environments."""
     importlib.import_module(HIGHWAY_ENV)
     theirs = [name for name, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
-    return [name for name in theirs if "/" not in name]
+    return [name for name in theirs if "/" not in name]  # not this package's, such as behavexplor/highway-v0
 
 
 def _import_plugin(namespace: str) -> None:
@@ -164,7 +164,7 @@ def drawn(
 def make_recorded(setup: Setup) -> Any:
     """Make the highway-env environment of a recorded scenario, as `make_env` does.
 
-    A record may come from anyone and brings no code: what it names must be part of highway-env, or loaded already.
+    A record may come from anyone and brings no code: what it names must be highway-env's, this package's or loaded.
 
     Raises:
         InputError: if it names anything else, or the environment cannot be made.
@@ -205,7 +205,7 @@ def _check_times(env: gymnasium.Env[Any, Any]) -> None:
 def make_vector_env(
     env: gymnasium.Env[Any, Any], num_envs: int, changes: Mapping[str, Any], *, rewards: bool = False
 ) -> VectorEnv[Any, Any, Any] | None:
-    """Make the vector form of an environment of `make_env`, with autoreset disabled; None if it has none.
+    """Make the vector form of an environment that `make_env` made, with autoreset disabled; None if it has none.
 
     `changes` replace keys of the configuration. The vector form of a highway-env environment begins its episodes in
     `env`, and takes no `changes`. Without `rewards`, a compiled environment computes none, and is faster.

@@ -45,7 +45,7 @@ class Evaluator(Service):
 
     def __init__(self, lock_step: int = LOCK_STEP, **target: Any) -> None:
         self.target = CheckedTarget(**target)
-        # whether the ADS is third-party code, for which this process gives up rights
+        # whether this process gives up rights: for third-party code, unless the target is `unconfined`
         self.is_confined = needs_confinement(self.target)
         self._lock_step = lock_step
         self.driver: ADS | None = None  # drives in place of the target's ADS; None if that drives
@@ -69,7 +69,7 @@ class Evaluator(Service):
             compile_kernels(self.target.env)
 
     def confine(self) -> None:
-        """Confine this process if the ADS is third-party code; see `behavexplor.execution.confinement`."""
+        """Confine this process if it has to be; see `behavexplor.execution.confinement`."""
         if self.is_confined:
             keep_code_in(Path(tempfile.mkdtemp()))  # this process will not be able to write into the usual folder
             self._unprevented = confine()
@@ -139,8 +139,8 @@ class Evaluator(Service):
 class ScenarioBatch:
     """Executes many scenarios in lock-step; see `behavexplor.execution.service.Batch`.
 
-    Its capacity is the number of `episodes` that could begin when it was made. `answer` makes a trace the result of a
-    request.
+    Its capacity is the number of `episodes` that could begin when it was made. `answer` makes a trace into the result
+    of its request.
     """
 
     def __init__(self, simulation: Simulation, episodes: LockStep, answer: Callable[[Trace], bytes]) -> None:
@@ -231,9 +231,9 @@ def _scenario(data: bytes, simulation: Simulation) -> Scenario:
 
 @contextmanager
 def collected_notices() -> Iterator[list[str]]:
-    """Yield a list to which all that is logged from WARNING on is added, as printable lines, instead of being shown.
+    """Collect what is logged at level WARNING or above, and Python's warnings, instead of showing it.
 
-    The same holds for Python's warnings, which are added at the end of the context only.
+    Yield a list to which each notice is added as a printable line, those of Python at the end of the context.
     """
     notices: list[str] = []
     handler = _Collector(notices)

@@ -2,8 +2,8 @@
 
 Two ideas carry it. Vehicles are aimed at drives of the ego that were recorded before (`behavexplor.fuzz.aiming`), so
 most of them matter to the ego. And an archive has a niche for each class of violations, where the nearest misses of
-this class are kept. The search works on niches that are near to a violation and were little tried, and turns away from
-those that have failed. So it looks for further classes instead of repeating one.
+this class are kept (`near_misses`). The search works on niches that are near to a violation and were little tried, and
+turns away from those that have failed. So it looks for further classes instead of repeating one.
 
 It uses routes, traces and verdicts, and neither the driving system's log nor its internals.
 """
@@ -171,7 +171,7 @@ class EncountersOptions:
     initial: Annotated[int, between(1)] = 40
     uniform_share: Annotated[float, between(0, 1)] = 0.1  # share of uniform scenarios
     aimed_share: Annotated[float, between(0, 1)] = 0.5  # share of mutants with a vehicle aimed at their parent's drive
-    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # share of mutants with one drawn anew; others have one tuned
+    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # share with one vehicle drawn anew; the rest have one tuned
     near: Annotated[float, between(0)] = 10.0  # greatest distance of a vehicle that counts as a near miss [m]
     elites: Annotated[int, between(1)] = 4  # number of scenarios that a niche keeps
     failure_cost: Annotated[float, between(0)] = 0.5  # number of tries that a failure counts as
@@ -278,7 +278,7 @@ class Encounters:
         return niches[rng.choice(len(niches), p=weight / weight.sum())]
 
     def _mutate(self, rng: np.random.Generator, elite: Elite) -> tuple[list[NPC], str]:
-        """Return the vehicles of a mutant, and its origin. The vehicle that nearly met the ego is kept or tuned."""
+        """Return the vehicles of a mutant, and its origin. Mostly, the one that nearly met the ego is kept or tuned."""
         scenario: Any = elite.candidate.scenario
         npcs, partner = list(scenario.npcs), elite.miss.partner
         others = [i for i in range(len(npcs)) if i != partner]
@@ -299,7 +299,7 @@ class Encounters:
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
         """Keep the violation, or each near miss, in its niche.
 
-        Return how many niches were `improved`: they have a nearer miss now, or their first one.
+        Return how often a niche was `improved`: it got a nearer miss, or its first one.
         """
         drive = Drive.of(trace)
         if candidate.origin == EMPTY_ROAD:
@@ -331,7 +331,7 @@ class Encounters:
 
 
 def tuned(npc: NPC, logical: ScriptedLogicalScenario, rng: np.random.Generator) -> NPC:
-    """Return a vehicle with changed speeds, or with some changed waypoints, valid in `logical` if it were alone.
+    """Return a vehicle with changed speeds or waypoints, and now and then another type, valid in `logical` by itself.
 
     The size of the change is drawn over one and a half orders of magnitude, since some niches need a coarse change and
     others a fine one.

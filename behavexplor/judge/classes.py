@@ -66,7 +66,7 @@ _PHRASES: Final = {  # where the words of a class are not its id's
     "nobody-ahead": "with no vehicle ahead",
 }
 _WHOLE: Final = {  # classes without parts: of executions in which the driving system failed, and of bare collisions
-    R1: "Collision with something other than a vehicle",
+    R1: "Collision with something that is not known",
     "error/raised": "The driving system raised an exception",
     "error/invalid": "The driving system returned something that is not an action",
     "error/exit": "The driving system ended its process by sys.exit",
@@ -83,11 +83,11 @@ class ViolationClass:
     spec: str  # "R1", "R2", "R3", or the name of a user's spec
     maneuver: str  # the ego's maneuver
 
-    # position or origin of the other vehicle, or "obstacle" (R1); side of the touched line, or "off-" and the side on
-    # which the ego left the road (R2); or end of the episode (R3 and users' specs)
+    # R1: position or origin of the other vehicle, or "obstacle"; R2: side of the touched line, or "off-" and the side
+    # on which the ego left the road; R3 and users' specs: end of the episode
     conflict: str
-    # second distinction: size of the other vehicle (R1), speed of the ego (R2), or the vehicle ahead of the ego or its
-    # way past the destination (R3)
+    # second distinction. R1: size of the other vehicle; R2: speed of the ego; R3: the vehicle ahead of the ego, or its
+    # way past the destination
     mark: str
     # further information that does not distinguish classes: whether the ego braked, crept or stood, its touched side,
     # and whether the other vehicle crept or stood

@@ -29,7 +29,7 @@ class ViolationEvent:
 
 
 def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | None:
-    """Return the event of the first violated spec; None without one, if the ADS failed, or if no contact is found.
+    """Return the event of the first violated spec; None if none is violated, the ADS failed, or no contact is found.
 
     The order is R1, R2, R3, since a collision keeps the ego from its destination, then the other names in `violated`.
     """
@@ -50,7 +50,7 @@ def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | N
 def first_line_touch(trace: Trace) -> ViolationEvent | None:
     """Return the first contact of the ego's box with an illegal line, or None.
 
-    Bounds leave few pairs of frames and lines: those of blocks of frames, then the gaps from infinite lines.
+    Two bounds leave few pairs of frames and lines: one for each block of frames, then the gap from the infinite line.
     """
     lines, position, heading = trace.illegal_lines, trace.position[:, 0], trace.heading[:, 0]
     if not len(lines):

@@ -115,7 +115,7 @@ class Destination:
     reach: float = 10.0
 
     def degree(self, trace: Trace) -> float:
-        """Return max(reach - D, 0) [m]. In a highway-env environment, it is `reach` if the ego arrived, or else 0."""
+        """Return max(reach - D, 0) [m]. In a highway-env environment, it is 0 for a violation, or else `reach`."""
         if trace.signals:
             return 0.0 if self.violated(trace) else self.reach
         return max(self.reach - final_distance(trace), 0.0)
@@ -160,7 +160,7 @@ def judge(trace: Trace, specs: Sequence[Spec] = SPECS) -> Verdict:
     """Judge a trace by all specs.
 
     Raises:
-        InputError: if two specs have the same name, a degree is not a finite number, or a spec raises it.
+        InputError: if two specs have the same name, a degree is not a finite number, or a user's spec fails.
     """
     degrees: dict[str, float] = {}
     for spec in specs:
@@ -255,7 +255,7 @@ def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
 
     An episode ends in the first frame in which the ego's center is within this distance. That frame lies behind the
     moment of arrival, by up to the speed times the time step (0.56 m at the speed limit and 20 Hz). How far is an
-    accident of the sampling, and greater than the differences between most episodes, so this way must not count.
+    accident of the sampling, and greater than the differences between most episodes, so what follows is not judged.
     """
     share = _arrival_share(trace) if trace.end == ARRIVED and len(trace.time) > 1 else 1.0
     if share == 1.0:

@@ -18,7 +18,7 @@ _MARGIN: Final = 60.0  # distance from the egos' drives within which the dashes 
 
 
 def known_road(env: str, run: Path) -> RoadShape | None:
-    """Return the road of a run: the one in its folder, or else that of an environment of this package; None for others.
+    """Return the road of a run: the one in its folder, or else that of the functional scenario `env`; None without.
 
     No environment of another package is made, since a report must not import third-party code that a run folder names.
 
@@ -54,11 +54,11 @@ def line_kinds(shape: RoadShape | None, trace: Trace) -> tuple[str, ...]:
 
 
 def road_values(shape: RoadShape | None, traces: list[Trace]) -> dict[str, Any]:
-    """Return the road under traces as JSON values, with lengths in meters. Without a `shape`, it has lines and a route.
+    """Return the road under traces as JSON values, with lengths in meters; without `shape`, only what the traces hold.
 
-    All executions have the same illegal lines, so they are those of the first trace.
+    All executions have the same illegal lines. They, the ego's route and its destination are those of the first trace.
     """
-    trace, drives = traces[0], np.concatenate([trace.position[:, 0] for trace in traces])
+    trace, drives = traces[0], np.concatenate([one.position[:, 0] for one in traces])
     low, high = drives.min(0) - _MARGIN, drives.max(0) + _MARGIN
     kinds = line_kinds(shape, trace)
     lines = [{"kind": kind, "ends": _points(line)} for kind, line in zip(kinds, trace.illegal_lines, strict=True)]

@@ -42,14 +42,14 @@ class Fork:
 class ForkedPlanner:
     """An ADS that drives the egos of a batch as recorded, each up to its own fork.
 
-    Up to its fork, an ego gets the recorded commands, `actions`, shape (D, 2). Meanwhile, the recorded planner runs as
-    well, so that the planner that takes over has the right memory. Row i of the batch is fork i.
+    Up to its fork, an ego gets the recorded commands, which are `actions`, shape (D, 2). Meanwhile, the recorded
+    planner runs as well, so that the planner that takes over has the right memory. Row i of the batch is fork i.
     """
 
     def __init__(self, planner: RulePlanner, actions: Floats, forks: Sequence[Fork]) -> None:
         self._planner = planner
         self._actions = actions
-        self._others = [_planner(planner.roadmap, fork.parameters) for fork in forks]
+        self._others = [_rule_planner(planner.roadmap, fork.parameters) for fork in forks]
         self._decision = np.array([fork.decision for fork in forks])
         self.observation: Mapping[str, Any] = planner.observation
         self.action: Mapping[str, Any] = planner.action
@@ -81,7 +81,7 @@ class ForkedPlanner:
 
 
 @lru_cache(maxsize=128)  # the same few planners continue all failures of a run, and none of them remembers anything
-def _planner(roadmap: RoadMap, parameters: Parameters) -> RulePlanner:
+def _rule_planner(roadmap: RoadMap, parameters: Parameters) -> RulePlanner:
     return RulePlanner(roadmap, parameters)
 
 
@@ -123,12 +123,11 @@ class Cause:
     # spec; "unknown" if no single weakness is to blame
     primary: str
     necessary: tuple[str, ...]  # weaknesses without which the violation does not happen, upstream first
-    # weaknesses of the violated spec that cause the violation without any other weakness of that spec, upstream first
-    sufficient: tuple[str, ...]
+    sufficient: tuple[str, ...]  # weaknesses of its spec that cause it without any other of that spec, upstream first
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:
-    """Return the cause of the first violated spec (R1, R2, R3); None if none is, or if the ADS is not the rule planner.
+    """Return the cause of the first violated spec, in the order R1, R2, R3; None without one, or for another ADS.
 
     The simulation must have the ADS and the environment of the recorded execution, and the trace its decision log.
     """

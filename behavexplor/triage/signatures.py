@@ -2,7 +2,7 @@
 
 The rules follow the paper's sixteen paragraphs (section 4.1.2), as a person would apply them to a recording. A
 signature names a weakness that changed the output of its module shortly before the violation, in a situation typical of
-that weakness. Of several weaknesses, it names the one farthest upstream, and those whose situation is nearly always
+that weakness. Of several weaknesses, it names the first one in `_RULES`, where those whose situation is nearly always
 given come last. The rules need no replay. `agreement` says how often they are right, compared with the causes that
 `behavexplor.triage.counterfactual` has found by replays.
 """

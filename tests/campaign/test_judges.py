@@ -20,7 +20,7 @@ from behavexplor.campaign import opening
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judges import Judges, judged
-from behavexplor.campaign.judgment import judgment, repeat_execution
+from behavexplor.campaign.judgment import ads_failure, confirmation, judgment, repeat_execution
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
@@ -327,3 +327,14 @@ def test_a_record_is_compared_with_the_judgment_of_its_trace(change, words):
     found = repeat_execution(again, Execution(replace(record, **change), data, 0.0))
     assert found.reproduced == (not words)
     assert not words or re.search(f"The record is NOT that of the execution: .* says {words}", found.words)
+
+
+def test_an_answer_that_is_no_trace_is_the_failure_that_a_record_has_of_it():
+    data, scenario = TRACES[0], LOGICAL.sample(np.random.default_rng(1))
+    with pytest.raises(ADSError) as failed:
+        judgment(b"no trace", None, SPECS)
+    written = json.loads(f"{{{','.join(judgment(data, ads_failure(failed.value), SPECS).members)}}}")
+    execution = Execution(Record.from_json(json.dumps({"id": 0, "scenario": scenario.to_dict(), **written})), data, 0.0)
+    again = SimpleNamespace(submit=lambda *_: done(b"no trace"))
+    assert repeat_execution(again, execution).reproduced
+    assert confirmation(again, execution).state == "confirmed"

@@ -103,7 +103,7 @@ def test_words_are_a_sentence(kind, words):
 
 
 def test_a_collision_with_no_vehicle_has_words():
-    assert words_of("R1") == "Collision with something other than a vehicle"
+    assert words_of("R1") == "Collision with something that is not known"
 
 
 def braking(recorded):

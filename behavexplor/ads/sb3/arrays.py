@@ -1,4 +1,4 @@
-"""Arrays of numpy in pickles that are not executed; see `behavexplor.ads.sb3.inert`."""
+"""Arrays and scalars of numpy in pickles that are not executed; see `behavexplor.ads.sb3.inert`."""
 
 from typing import Any, Final
 
