@@ -1,5 +1,6 @@
 """Drivers that are given as Python objects: functions, objects with a `predict` method, and models in training."""
 
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,8 +48,9 @@ def given_driver(given: Any) -> GivenDriver:
     if isinstance(given, GivenDriver):
         return given
     if isinstance(given, str | Path):
-        check_name(str(given))
-        return GivenDriver(str(given), is_named=True)
+        name = os.path.expanduser(str(given))  # noqa: PTH111 - a name, not always a path
+        check_name(name)
+        return GivenDriver(name, is_named=True)
     if _is_model(given):
         if (learned := _learned(given)) is not None:
             return learned

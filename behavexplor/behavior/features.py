@@ -162,10 +162,10 @@ def fill_states(
 ) -> None:
     """Fill in the states and positions of the ego at times that are `spacing` [s] apart, interpolated as by NumPy.
 
-    The interpolation is linear. There are T >= 2 frames. Positions [m] and velocities [m/s] are those of all vehicles,
-    shape (T, N, 2), the ego first. `motion` is the speed of the ego [m/s], its heading without jumps [rad], and cosine
-    and sine of that, shape (4, T). `room` is for two states, shape (2, 8). States, shape (N', 8), and places, shape
-    (N', 2), are changed in place.
+    The interpolation is linear, and `time` [s] has T >= 2 frames. Positions [m] and velocities [m/s] are those of all
+    vehicles, shape (T, N, 2), the ego first. `motion` is the speed of the ego [m/s], its heading without jumps [rad],
+    and cosine and sine of that, shape (4, T). `room` is for two states, shape (2, 8). States, shape (N', 8), and
+    places, shape (N', 2), are changed in place.
     """
     last, t = len(time) - 1, 0
     for i in range(len(states)):
@@ -235,7 +235,7 @@ def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels
         for k in range(N_STATISTICS):
             _scale(columns[k], clusters.mean[first + k], clusters.scale[first + k])
         for k in range(len(clusters.centers)):
-            center = clusters.centers[k, first:]
+            center = clusters.centers[k, first : first + N_STATISTICS]
             _add_products(columns, 0, center, products[0, k])
             _add_products(columns, 1, center, products[1, k])
     _find_nearest(products, clusters.squares, labels)
@@ -243,7 +243,7 @@ def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels
 
 @kernel_inner
 def _fill_columns(x: Floats, window: int, still: float, terms: Floats, columns: Floats) -> None:
-    """Fill in `columns`, the statistics of one attribute, shape (statistics, windows). Simple loops are fast.
+    """Fill in `columns`, the statistics of one attribute, shape (statistics, windows). Loops are simple, to be fast.
 
     `x` are its states, shape (n,). For `still`, see `fill_statistics`. `terms` is room for intermediate results, shape
     (n,).

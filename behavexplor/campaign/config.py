@@ -1,4 +1,4 @@
-"""Configuration of a campaign: read from a file and flags, validated, and written to the run folder, which it names."""
+"""Configuration of a campaign: read from file and flags, validated, written to the run folder; and names of folders."""
 
 import math
 import os
@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
+from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, Final, Self
 
@@ -74,11 +75,11 @@ class CampaignConfig(Target):
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    method: str = "behavexplor"
+    method: str = "behavexplor"  # a key of `behavexplor.fuzz.methods.METHODS`, or "package.module:attribute"
     budget: str = "750"
     seed: int = 0
     batch: int = 8
-    specs: tuple[str, ...] = ()
+    specs: tuple[str, ...] = ()  # each as "package.module:attribute", see `behavexplor.judge.robustness`
     options: dict[str, Any] = field(default_factory=dict)
     revision: int = REVISION
 
@@ -91,9 +92,9 @@ class CampaignConfig(Target):
             raise InputError(f"The batch {self.batch} must lie between 1 and 10000")
 
     def stated(self) -> dict[str, Any]:
-        """Return the values of the fields by name, those of `Conditions` last. Derived classes may have more fields."""
+        """Return the fields by name, those of `Conditions` last. Fields that derived classes add are left out."""
         conditions = [one.name for one in fields(Conditions)]
-        others = [one.name for one in fields(CampaignConfig) if one.name not in conditions]  # no field of a subclass
+        others = [one.name for one in fields(CampaignConfig) if one.name not in conditions]
         return {name: getattr(self, name) for name in (*others, *conditions)}
 
     def to_yaml(self) -> str:
@@ -170,7 +171,7 @@ def stored_config(run: Path) -> StoredConfig:
     """
     path = run / CONFIG
     if not path.is_file():
-        inside = next((run / RUNS).rglob(CONFIG), None)  # `run` may hold an experiment, or many campaigns
+        inside = next(chain(run.glob(f"*/{CONFIG}"), (run / RUNS).rglob(CONFIG)), None)  # it may hold many campaigns
         way = f"name one that it holds, such as {inside.parent}" if inside else "restore the file or start a new run"
         raise InputError(f"{run} is not a run folder, or its {CONFIG} is missing: {way}")
     values = read_yaml(path)

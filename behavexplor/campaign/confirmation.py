@@ -66,11 +66,11 @@ def can_be_confirmed(record: Record) -> bool:
 
 
 def difference(recorded: Trace | Mapping[str, str], other: Trace | Mapping[str, str]) -> str | None:
-    """Return how two executions differ; None if not. Each is a trace, or the driver's failure as a record has it."""
+    """Return how an execution in highway-env differs from the recorded one; None if not. Failures are as in records."""
     if not (isinstance(recorded, Trace) and isinstance(other, Trace)):
-        errors = [None if isinstance(one, Trace) else one["kind"] for one in (recorded, other)]
+        kinds = [None if isinstance(one, Trace) else one["kind"] for one in (recorded, other)]
         words = [one["message"] for one in (recorded, other) if not isinstance(one, Trace)]
-        return None if errors[0] == errors[1] else f"only in one of them, the driver failed: {words[0]}"
+        return None if kinds[0] == kinds[1] else f"the driver failed in one of them only, or otherwise: {words[0]}"
     for name in ("end", "partner"):
         values = getattr(recorded, name), getattr(other, name)
         if values[0] != values[1]:

@@ -78,7 +78,7 @@ class Repetition:
     """The outcome of running an execution again.
 
     Attributes:
-        reproduced: whether trace or failure was the same again, and the record has the trace's end, specs and class.
+        reproduced: whether trace or failure was the same again, and the record says of the trace what judging it gives.
         words: the outcome as a sentence.
     """
 
@@ -89,11 +89,11 @@ class Repetition:
 def repeat_execution(executor: Executor, execution: Execution) -> Repetition:
     """Run a stored execution again, with an executor of the same target."""
     try:
-        again = judgment(executor.submit(EXECUTE, execution.scenario.to_json().encode()).result(), None, SPECS)
+        data = executor.submit(EXECUTE, execution.scenario.to_json().encode()).result()
+        again = judgment(data, None, SPECS)
     except ADSError as error:
         if execution.record.error == ads_failure(error):
-            words = f"running it again, the ADS failed in the same way{error.place}"
-            return Repetition(True, f"The failure was reproduced: {words}.")
+            return Repetition(True, f"The failure was reproduced: again, the ADS failed in the same way{error.place}.")
         return Repetition(False, sentence(f"The execution was NOT reproduced: running it again, {error}"))
     if again.trace.to_bytes() != execution.load_trace().to_bytes():
         return Repetition(False, "The execution was NOT reproduced: running it again gave a different trace.")

@@ -179,13 +179,13 @@ def changed_logical(logical: ScriptedLogicalScenario, changes: Mapping[str, Any]
     """
     if not changes:
         return logical
-    ranged = {
+    kind_of = {
         "n_npcs": kinds.WHOLE,
         "waypoints_per_lane": kinds.COUNT,
         "vehicle_types": kinds.names(logical.vehicle_types),
     }
     for name, value in changes.items():
-        ranged.get(name, kinds.NOT_NEGATIVE).check(f"logical.{name}", value)
+        kind_of.get(name, kinds.NOT_NEGATIVE).check(f"logical.{name}", value)
     values: dict[str, Any] = dict(changes)
     if "vehicle_types" in values:
         values["vehicle_types"] = tuple(values["vehicle_types"])
@@ -274,7 +274,7 @@ class _Known(NamedTuple):
 
 
 def check_space_keys(env: AbstractEnv, config: Mapping[str, Any]) -> None:
-    """Check the types, keys and features of a configuration's `observation` and `action`, where they are given.
+    """Check types, keys and features of `observation` and `action`, where a highway-env configuration gives them.
 
     `env` is in its own configuration. A key of another type is not refused: configurations keep such keys when their
     type is changed, and highway-env's own documentation has some. An environment that makes its own observations may

@@ -208,7 +208,7 @@ def make_vector_env(
     """Make the vector form of an environment that `make_env` made, with autoreset disabled; None if it has none.
 
     `changes` replace keys of the configuration. The vector form of a highway-env environment begins its episodes in
-    `env`, and takes no `changes`. Without `rewards`, a compiled environment computes none, and is faster.
+    `env`; with `changes`, it has none. Without `rewards`, a compiled environment computes none, and is faster.
 
     Raises:
         InputError: if the vector form does not support the configuration.

@@ -113,13 +113,13 @@ class Recorder:
         route = self._roadmap.ego_route
         elapsed = float(self._time[len(self._ego) - 1] - self._time[decided])
         npcs = self.touched_npcs() if end == "collision" else []
-        run = np.zeros(1, RUN)
+        run = np.zeros(1, RUN)  # as one slot of the compiled engine, so that both compute the same reward
         run["progress"] = route.project(*now[:2])[0] - route.project(*before[:2])[0]
         run["mean_acceleration"] = (math.hypot(*now[3:]) - math.hypot(*before[3:])) / elapsed
         run["touched"] = self._line_frame is not None and self._line_frame > decided
         run["rear_end"] = bool(npcs) and all(self._struck_by(npc) for npc in npcs)
         run["end"] = RUNNING if end is None else ENDS.index(end)
-        terms = reward_terms(weights, run, np.ones(1, dtype=bool))
+        terms = reward_terms(weights, run, active=np.ones(1, dtype=bool))
         return dict(zip(TERMS, terms[:, 0].tolist(), strict=True))
 
     def _struck_by(self, npc: int) -> bool:
@@ -154,7 +154,7 @@ def _line_columns(lines: Floats) -> Floats:
 
 
 class PlainSimulation(AbstractEnv):  # type: ignore[misc]
-    """An environment of highway-env whose NPCs play back a scenario, and which records its episodes."""
+    """Base of `DrivingEnv`, which calls it to play back a scenario on highway-env's own objects, and to record that."""
 
     logical: ScriptedLogicalScenario
     config: dict[str, Any]

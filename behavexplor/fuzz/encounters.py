@@ -171,7 +171,7 @@ class EncountersOptions:
     initial: Annotated[int, between(1)] = 40
     uniform_share: Annotated[float, between(0, 1)] = 0.1  # share of uniform scenarios
     aimed_share: Annotated[float, between(0, 1)] = 0.5  # share of mutants with a vehicle aimed at their parent's drive
-    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # share with one vehicle drawn anew; the rest have one tuned
+    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # share of mutants with one redrawn; the rest have one tuned
     near: Annotated[float, between(0)] = 10.0  # greatest distance of a vehicle that counts as a near miss [m]
     elites: Annotated[int, between(1)] = 4  # number of scenarios that a niche keeps
     failure_cost: Annotated[float, between(0)] = 0.5  # number of tries that a failure counts as
@@ -331,7 +331,7 @@ class Encounters:
 
 
 def tuned(npc: NPC, logical: ScriptedLogicalScenario, rng: np.random.Generator) -> NPC:
-    """Return a vehicle with changed speeds or waypoints, and now and then another type, valid in `logical` by itself.
+    """Return a vehicle with changed speeds or waypoints, now and then of another type, regardless of other vehicles.
 
     The size of the change is drawn over one and a half orders of magnitude, since some niches need a coarse change and
     others a fine one.

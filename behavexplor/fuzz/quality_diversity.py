@@ -72,7 +72,7 @@ class VariationOptions:
     """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1)."""
 
     iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05  # deviation of the noise on a gene, as a share of its range
-    line_sigma: Annotated[float, between(0, 10)] = 0.2  # of the step to the second elite, as a share of the distance
+    line_sigma: Annotated[float, between(0, 10)] = 0.2  # deviation of the step to the second elite, per their distance
     # probability that an NPC stays as in the first elite. Noise on all NPCs at once would destroy most of what made the
     # elite good.
     npc_keep_probability: Annotated[float, between(0, 0.95)] = 0.5
@@ -81,7 +81,7 @@ class VariationOptions:
 class EliteSearch:
     """The part that both methods share: uniform scenarios at first, then variations of two uniformly drawn elites.
 
-    `archive` is the name of a class of pyribs, which is made with the `settings`.
+    `archive` is the name of a class of pyribs, made with the `settings`. `options` have `initial` and a `variation`.
 
     Raises:
         InputError: if pyribs is not installed.
@@ -148,11 +148,11 @@ class MAPElites(EliteSearch):
     _name = "map-elites"
 
     def __init__(self, logical: LogicalScenario, seed: int, options: MAPElitesOptions) -> None:
-        cells = {"dims": [options.bins] * len(options.measures), "ranges": [(0.0, 1.0)] * len(options.measures)}
-        super().__init__(logical, seed, options, "GridArchive", **cells)
+        n = len(options.measures)
+        super().__init__(logical, seed, options, "GridArchive", dims=[options.bins] * n, ranges=[(0.0, 1.0)] * n)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Put a scenario into its `cell`. It is `kept` if it is better than the elite there, or the first one."""
+        """Put a scenario into its cell if it beats the elite there; return the `cell`, and whether it was `kept`."""
         measures = describe(trace, self._options.measures)
         objective = 0.0 if verdict.failed else -verdict.degree
         added = self._archive.add_single(self._asker.told(candidate), objective, measures, **{ELITES: candidate.number})
@@ -184,11 +184,11 @@ class NoveltySearch(EliteSearch):
     _name = "novelty-search"
 
     def __init__(self, logical: LogicalScenario, seed: int, options: NoveltySearchOptions) -> None:
-        nearness = {"k_neighbors": options.neighbors, "novelty_threshold": options.threshold}
-        super().__init__(logical, seed, options, "ProximityArchive", measure_dim=len(options.measures), **nearness)
+        settings = {"k_neighbors": options.neighbors, "novelty_threshold": options.threshold}
+        super().__init__(logical, seed, options, "ProximityArchive", measure_dim=len(options.measures), **settings)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Keep a scenario that is novel, by its mean `distance` from the nearest kept ones (1 for the first one)."""
+        """Keep a novel scenario; return its mean `distance` from the nearest kept ones (1 if none), and if `kept`."""
         measures = describe(trace, self._options.measures)
         first = self._archive.empty
         added = self._archive.add_single(self._asker.told(candidate), None, measures, **{ELITES: candidate.number})

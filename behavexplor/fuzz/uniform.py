@@ -28,7 +28,7 @@ class Uniform:
         self._asked = 0
 
     def ask(self) -> Candidate:
-        """Return the next candidate, whose scenario is drawn when it is asked for; see `UniformCandidate`."""
+        """Return the next candidate, which draws its scenario when that is first used; see `UniformCandidate`."""
         number = self._asked
         self._asked += 1
         return UniformCandidate(number, self._logical, self._seed)

@@ -83,7 +83,7 @@ class ViolationClass:
     spec: str  # "R1", "R2", "R3", or the name of a user's spec
     maneuver: str  # the ego's maneuver
 
-    # R1: position or origin of the other vehicle, or "obstacle"; R2: side of the touched line, or "off-" and the side
+    # R1: position or origin of the other vehicle, or what it was; R2: side of the touched line, or "off-" and the side
     # on which the ego left the road; R3 and users' specs: end of the episode
     conflict: str
     # second distinction. R1: size of the other vehicle; R2: speed of the ego; R3: the vehicle ahead of the ego, or its

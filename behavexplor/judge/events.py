@@ -31,7 +31,7 @@ class ViolationEvent:
 def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | None:
     """Return the event of the first violated spec; None if none is violated, the ADS failed, or no contact is found.
 
-    The order is R1, R2, R3, since a collision keeps the ego from its destination, then the other names in `violated`.
+    R1, R2, R3 come first, since a collision keeps the ego from its destination; `violated` holds names as in `Verdict`.
     """
     ranked = [*(name for name in REQUIREMENTS if name in violated), *violated]
     if not ranked or ranked[0] == ERROR:

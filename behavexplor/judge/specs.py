@@ -253,9 +253,9 @@ def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
     `ARRIVAL_DISTANCE` of the destination, at the earliest to the frame before. All vehicles are interpolated linearly
     between these two frames. The poses of an episode with any other end are those of the trace.
 
-    An episode ends in the first frame in which the ego's center is within this distance. That frame lies behind the
-    moment of arrival, by up to the speed times the time step (0.56 m at the speed limit and 20 Hz). How far is an
-    accident of the sampling, and greater than the differences between most episodes, so what follows is not judged.
+    An episode ends in the first frame in which the ego's center is so near. That frame lies up to the speed times the
+    time step (0.56 m at the speed limit and 20 Hz) behind the moment of arrival. How far behind is an accident of the
+    sampling, and greater than the differences between most episodes. So what follows the arrival is not judged.
     """
     share = _arrival_share(trace) if trace.end == ARRIVED and len(trace.time) > 1 else 1.0
     if share == 1.0:

@@ -18,7 +18,7 @@ _MARGIN: Final = 60.0  # distance from the egos' drives within which the dashes 
 
 
 def known_road(env: str, run: Path) -> RoadShape | None:
-    """Return the road of a run: the one in its folder, or else that of the functional scenario `env`; None without.
+    """Return the road of a run: the one in its folder, or else that of the functional scenario `env`; None if unknown.
 
     No environment of another package is made, since a report must not import third-party code that a run folder names.
 

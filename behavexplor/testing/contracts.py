@@ -154,7 +154,7 @@ def executed(env: gymnasium.Env[Any, Any], scenario: Scenario, actions: list[Any
 
 def _check_trace(trace: Trace, scenario: Scenario) -> None:
     promise(
-        not scenario.npcs or len(trace.size) == 1 + len(scenario.npcs),
+        scenario.has_original or len(trace.size) == 1 + len(scenario.npcs),
         f"The trace has {len(trace.size) - 1} vehicles beside the ego, which is not the scenario's number of NPCs",
     )
     promise(trace.end in ENDS, f"The trace ended with {trace.end!r}, which is none of {', '.join(ENDS)}")

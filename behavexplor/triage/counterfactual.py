@@ -123,7 +123,7 @@ class Cause:
     # spec; "unknown" if no single weakness is to blame
     primary: str
     necessary: tuple[str, ...]  # weaknesses without which the violation does not happen, upstream first
-    sufficient: tuple[str, ...]  # weaknesses of its spec that cause it without any other of that spec, upstream first
+    sufficient: tuple[str, ...]  # those of the violated spec that cause it without any other of that, upstream first
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, Protocol
 
 from behavexplor.data.scenario import Part, Parts, Size, Value
 
-MOST_SUBSETS: Final = 200  # sets of that many parts are all tried at once; larger scenarios lose their parts one by one
+MOST_SUBSETS: Final = 200  # so many sets of parts are all tried at once; larger scenarios lose their parts one by one
 SMALL: Final = 2  # number of parts up to which all sets of parts are tried
 DIGITS: Final = (0, 1, 2)  # decimals to which values are rounded
 

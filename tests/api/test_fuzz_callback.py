@@ -2,6 +2,7 @@
 
 import importlib
 import math
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -188,3 +189,12 @@ def test_a_second_training_has_rounds_of_its_own(tmp_path):
     another = FuzzCallback(every=32, share=1.0, method="uniform", out=str(tmp_path), **SEARCH)
     ppo().learn(32, callback=another)
     assert another.rounds[0].folder.parent == tmp_path / "training-3"
+
+
+def test_a_path_may_begin_with_the_home_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))  # on Windows
+    (tmp_path / "model.zip").touch()
+    assert given_driver("~/model.zip").name == str(tmp_path / "model.zip")
+    with pytest.raises(InputError, match=re.escape(str(tmp_path / "none.zip"))):
+        given_driver("~/none.zip")

@@ -183,8 +183,9 @@ def test_what_is_no_run_folder_is_told_how_to_name_one(tmp_path):
     inside = tmp_path / RUNS / "a" / "first"
     inside.mkdir(parents=True)
     (inside / CONFIG).write_text("")
-    with pytest.raises(InputError, match=rf"is not a run folder, .*: name one that it holds, such as {inside}"):
-        stored_config(tmp_path)
+    for outer in (tmp_path, tmp_path / RUNS / "a"):
+        with pytest.raises(InputError, match=rf"is not a run folder, .*: name one that it holds, such as {inside}"):
+            stored_config(outer)
     with pytest.raises(InputError, match="is empty, so the configuration of the run is lost"):
         stored_config(inside)
 

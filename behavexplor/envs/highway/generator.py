@@ -266,7 +266,7 @@ class CallPath:
     A draw is found by this name and its position among the draws of the innermost call. So it keeps its name when
     another vehicle is rejected and draws less than before.
 
-    Calls above the source file `root`, and from the folders or files in `skipped`, have no part in a name.
+    Calls above `root` (the file of the environment's caller), or in the folders or files `skipped`, have no part in it.
     """
 
     def __init__(self, root: str, skipped: tuple[str, ...]) -> None:
