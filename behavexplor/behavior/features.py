@@ -208,9 +208,9 @@ def _interpolate(time: Floats, now: float, t: int, first: Floats, second: Floats
 def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> None:
     """Fill in the statistics of each attribute in each window; see `merged_states`.
 
-    The states have the shape (attributes, n). A deviation of less than `still` in a window is no movement. The
-    statistics of the first attribute, then of the second, and so on, shape (n - window + 1, attributes * statistics),
-    are changed in place.
+    `x` are the states, shape (attributes, n). A deviation of less than `still` in a window is no movement. `filled` is
+    changed in place: the statistics of the first attribute, then of the second, and so on, shape (n - window + 1,
+    attributes * statistics).
     """
     columns, terms = np.empty((N_STATISTICS, len(filled))), np.empty(x.shape[1])
     for j in range(len(x)):
@@ -224,7 +224,7 @@ def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> Non
 def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels: NDArray[np.uint8]) -> None:
     """Fill in the cluster whose center is nearest to the statistics of each window, the first of several.
 
-    For states, shape (attributes, n), and `still`, see `fill_statistics`. The labels, indices of clusters, shape
+    For the states `x` and for `still`, see `fill_statistics`. The `labels`, indices of clusters, shape
     (n - window + 1,), are changed in place.
     """
     columns, terms = np.empty((N_STATISTICS, len(labels))), np.empty(x.shape[1])

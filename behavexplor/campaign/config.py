@@ -55,7 +55,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class CampaignConfig(Target):
-    """One search method x ADS x environment x seed, with a budget. All other settings are in `Target`.
+    """One search method x ADS x environment x seed, with a budget. `Target` has the rest. The help of flags is here.
 
     Attributes:
         method: Search method, or package.module:attribute of your own.
@@ -79,7 +79,7 @@ class CampaignConfig(Target):
     budget: str = "750"
     seed: int = 0
     batch: int = 8
-    specs: tuple[str, ...] = ()  # each as "package.module:attribute", see `behavexplor.judge.robustness`
+    specs: tuple[str, ...] = ()  # beside R1-R3; each as "package.module:attribute", see `behavexplor.judge.robustness`
     options: dict[str, Any] = field(default_factory=dict)
     revision: int = REVISION
 

@@ -24,7 +24,7 @@ from behavexplor.errors import sentence
 
 FOLDER: Final = "confirmations"  # in a run folder
 OF_EACH_CLASS: Final = 3  # failures that are confirmed without being asked for
-TOLERANCE: Final = 0.1  # between motions that count as equal [m]: the last bits' differences grow in reacting traffic
+TOLERANCE: Final = 0.1  # greatest difference of equal motions [m]: it begins in the last bit, and traffic amplifies it
 _LONGEST: Final = 10_000  # [bytes]
 _ENDED: Final = ("hang", "crash")  # kinds of errors that end a process, and say nothing of an engine
 
@@ -70,7 +70,7 @@ def difference(recorded: Trace | Mapping[str, str], other: Trace | Mapping[str, 
     if not (isinstance(recorded, Trace) and isinstance(other, Trace)):
         kinds = [None if isinstance(one, Trace) else one["kind"] for one in (recorded, other)]
         words = [one["message"] for one in (recorded, other) if not isinstance(one, Trace)]
-        return None if kinds[0] == kinds[1] else f"the driver failed in one of them only, or otherwise: {words[0]}"
+        return None if kinds[0] == kinds[1] else f"the driver failed in only one of them, or in another way: {words[0]}"
     for name in ("end", "partner"):
         values = getattr(recorded, name), getattr(other, name)
         if values[0] != values[1]:

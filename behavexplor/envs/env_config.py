@@ -227,7 +227,7 @@ def _types(observation: Mapping[str, Any]) -> list[str]:
 def check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
     """Check the configuration of an observation or action: highway-env reads every key, and needs no other.
 
-    `what` is "observation" or "action", for messages perhaps with the place of a part. `types` are highway-env's
+    `what` names it in messages: "observation" or "action", perhaps with the place of a part. `types` are highway-env's
     classes by the names that the key `type` may have.
 
     Raises:

@@ -154,14 +154,14 @@ def _line_columns(lines: Floats) -> Floats:
 
 
 class PlainSimulation(AbstractEnv):  # type: ignore[misc]
-    """Base of `DrivingEnv`, which calls it to play back a scenario on highway-env's own objects, and to record that."""
+    """Base of `DrivingEnv`, which plays back scenarios on highway-env's own objects by it, or only shows them there."""
 
     logical: ScriptedLogicalScenario
     config: dict[str, Any]
     action_type: Any  # highway-env has no annotations
     _recorder: Recorder
-    _end: str | None = None
-    _terms: dict[str, float]
+    _end: str | None = None  # kind of end, one of `ENDS`; None while the episode runs
+    _terms: dict[str, float]  # terms of the reward for the latest decision
 
     def _place(self, scenario: ScriptedScenario) -> None:
         """Put the ego and the NPCs of a scenario on a new road, and begin their record."""

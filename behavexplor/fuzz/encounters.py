@@ -171,7 +171,7 @@ class EncountersOptions:
     initial: Annotated[int, between(1)] = 40
     uniform_share: Annotated[float, between(0, 1)] = 0.1  # share of uniform scenarios
     aimed_share: Annotated[float, between(0, 1)] = 0.5  # share of mutants with a vehicle aimed at their parent's drive
-    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # share of mutants with one redrawn; the rest have one tuned
+    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # share with a vehicle drawn anew; in the rest, one is tuned
     near: Annotated[float, between(0)] = 10.0  # greatest distance of a vehicle that counts as a near miss [m]
     elites: Annotated[int, between(1)] = 4  # number of scenarios that a niche keeps
     failure_cost: Annotated[float, between(0)] = 0.5  # number of tries that a failure counts as

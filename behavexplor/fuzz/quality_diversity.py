@@ -69,10 +69,10 @@ def check_measures(measures: Sequence[Measure]) -> None:
 
 @validated
 class VariationOptions:
-    """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1)."""
+    """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1), by deviations."""
 
-    iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05  # deviation of the noise on a gene, as a share of its range
-    line_sigma: Annotated[float, between(0, 10)] = 0.2  # deviation of the step to the second elite, per their distance
+    iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05  # deviation of every gene's noise, as a share of its range
+    line_sigma: Annotated[float, between(0, 10)] = 0.2  # deviation of the step to the second, in shares of the distance
     # probability that an NPC stays as in the first elite. Noise on all NPCs at once would destroy most of what made the
     # elite good.
     npc_keep_probability: Annotated[float, between(0, 0.95)] = 0.5
@@ -152,7 +152,7 @@ class MAPElites(EliteSearch):
         super().__init__(logical, seed, options, "GridArchive", dims=[options.bins] * n, ranges=[(0.0, 1.0)] * n)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Put a scenario into its cell if it beats the elite there; return the `cell`, and whether it was `kept`."""
+        """Put a scenario into an empty cell, or in place of a worse elite; return the `cell`, and if it was `kept`."""
         measures = describe(trace, self._options.measures)
         objective = 0.0 if verdict.failed else -verdict.degree
         added = self._archive.add_single(self._asker.told(candidate), objective, measures, **{ELITES: candidate.number})
@@ -170,7 +170,7 @@ class NoveltySearchOptions:
     initial: Annotated[int, between(1)] = 20  # number of uniform scenarios executed before the first variation
     measures: tuple[Measure, ...] = tuple(SCALES)  # measures that distinguish behaviors; see `SCALES`
     neighbors: Annotated[int, between(1)] = 15  # number of nearest neighbors whose mean distance is the novelty
-    threshold: Annotated[float, between(0)] = 0.1  # least novelty of a kept scenario, by measures in [0, 1]
+    threshold: Annotated[float, between(0)] = 0.1  # least novelty of a kept scenario; each measure spans [0, 1]
     variation: VariationOptions = field(default_factory=VariationOptions)
 
     def __post_init__(self) -> None:

@@ -12,7 +12,6 @@ import gymnasium
 import numpy as np
 
 from behavexplor.data.scenario import LogicalScenario, Scenario, parse_scenario
-from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.making import make_env
 from behavexplor.errors import InputError
@@ -154,7 +153,7 @@ def executed(env: gymnasium.Env[Any, Any], scenario: Scenario, actions: list[Any
 
 def _check_trace(trace: Trace, scenario: Scenario) -> None:
     promise(
-        scenario.has_original or len(trace.size) == 1 + len(scenario.npcs),
+        scenario.has_original or len(trace.size) == 1 + len(scenario.npcs),  # only scripted vehicles are in `npcs`
         f"The trace has {len(trace.size) - 1} vehicles beside the ego, which is not the scenario's number of NPCs",
     )
     promise(trace.end in ENDS, f"The trace ended with {trace.end!r}, which is none of {', '.join(ENDS)}")
@@ -162,7 +161,7 @@ def _check_trace(trace: Trace, scenario: Scenario) -> None:
 
 
 def check_spec(spec: Any, *, env: str = "intersection-straight", traces: int = TRACES) -> None:
-    """Check that a spec gives a number for every trace, and the same number each time.
+    """Check that a spec (`behavexplor.judge.robustness`) gives a number for every trace, and the same each time.
 
     Args:
         spec: a callable on a trace, or its name as for `--spec`.
@@ -185,9 +184,8 @@ def check_spec(spec: Any, *, env: str = "intersection-straight", traces: int = T
 def _traces(env: str, count: int) -> Iterator[Trace]:
     logical = logical_scenario(env)
     generator = np.random.default_rng(0)
-    if not logical.has_original:
-        own = scripted(logical, "A synthetic trace")
-        yield from (synthetic_trace(own.sample(generator), own) for _ in range(count))
+    if not logical.has_original:  # its vehicles are scripted
+        yield from (synthetic_trace(logical.sample(generator), logical) for _ in range(count))
         return
     with closing(make_env(env, {})) as made:
         made.action_space.seed(0)

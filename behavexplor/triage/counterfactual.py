@@ -90,7 +90,7 @@ def run_forks(
 ) -> list[Trace]:
     """Continue a recorded execution of the rule planner along several forks, and return the trace of each.
 
-    `seconds` is the duration after which the replays may end early; None for whole executions.
+    `seconds` limits the duration of the replays [s]; None for whole executions. A replay may be longer.
 
     Raises:
         TypeError: if the ADS is not the rule planner.
@@ -123,7 +123,7 @@ class Cause:
     # spec; "unknown" if no single weakness is to blame
     primary: str
     necessary: tuple[str, ...]  # weaknesses without which the violation does not happen, upstream first
-    sufficient: tuple[str, ...]  # those of the violated spec that cause it without any other of that, upstream first
+    sufficient: tuple[str, ...]  # weaknesses of the violated spec that suffice without its others, upstream first
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:

@@ -209,7 +209,7 @@ def test_differences_have_words(whole):
         (trace.until(5, "timeout"), "'timeout' in highway-env"),
         (replace(trace, partner=-1), "-1 in highway-env"),
         (replace(trace.until(5, trace.end), partner=trace.partner), "in highway-env"),
-        (failed, "the driver failed in one of them only, or otherwise: no gap"),
+        (failed, "the driver failed in only one of them, or in another way: no gap"),
     ):
         assert words in str(difference(trace, other))
 

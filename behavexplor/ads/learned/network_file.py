@@ -38,6 +38,8 @@ def read_network(path: Path) -> TrainedNetwork:
         layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(len(file) // 2)]
     except FileNotFoundError:
         raise InputError(f"There is no file {path}") from None
+    except InputError:
+        raise
     except KeyError as error:
         raise InputError(f"{path} contains no network of this package: it has no array {error}") from None
     except (OSError, ValueError) as error:

@@ -128,7 +128,7 @@ def _search_below(
     now, following = nodes.stages[0], nodes.stages[1]
     now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0
     now[0, TOTAL], now[0, RISK], now[0, INSIDE] = 0.0, 0.0, 0.0
-    count, survived, tied = int64(1), int64(0), False  # see `behavexplor.jit.int64`
+    count, survived, tied = int64(1), int64(0), False  # as int64, so that numba compiles what gets them only once
     for stage in range(len(STAGES)):
         n = _choose(now, count, stage, bound, situation.p, nodes)
         _begin(now, n, nodes)
