@@ -80,7 +80,7 @@ def missing_library(what: str, library: str | None, extra: str) -> InputError:
 
 def ignored_key(owner: str, key: str, known: Iterable[str]) -> str:
     """Return the warning that highway-env ignores a key of a configuration, with the most similar key that it knows."""
-    close = get_close_matches(key, sorted(known), n=1)
+    close = get_close_matches(key, sorted(known), n=1, cutoff=0.8)
     hint = f": did you mean {close[0]!r}?" if close else ""
     return f"{owner} does not have the key {key!r} of the configuration, which highway-env ignores{hint}"
 

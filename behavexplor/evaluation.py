@@ -349,7 +349,7 @@ def _counted(answer: "Future[bytes]", numbers: range) -> list[Outcomes] | None:
     if differing := counted["differing"]:
         raise RuntimeError(
             f"scenario {numbers[differing[0]]} failed, and did not fail when it was driven again: the driver does not "
-            "do the same twice, or this is an error of behavexplor"
+            "do the same twice or in a batch (leave out its `vectorized`), or this is an error of behavexplor"
         )
     return unpacked(counted)
 

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from behavexplor.errors import LONGEST, InputError, brief, described, printable, sentence, unknown_name
+from behavexplor.errors import LONGEST, InputError, brief, described, ignored_key, printable, sentence, unknown_name
 
 
 @pytest.mark.parametrize(
@@ -77,3 +77,11 @@ def test_a_class_has_a_name_whatever_its_metaclass_does():
     kind = Nameless("Odd", (Exception,), {"__repr__": lambda _: 1 / 0})
     assert described(kind("x")) == "Odd: x"
     assert brief(kind()) == "a Odd that cannot be shown"
+
+
+@pytest.mark.parametrize(
+    ("key", "hint"), [("lane_count", ": did you mean 'lanes_count'?"), ("duration", ""), ("vehicles_count", "")]
+)
+def test_only_a_misspelled_key_is_taken_for_another_one(key, hint):
+    known = ("action", "lanes_count", "observation", "other_vehicles_type")
+    assert ignored_key("merge-v0", key, known).endswith(f"which highway-env ignores{hint}")

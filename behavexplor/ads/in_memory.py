@@ -65,7 +65,8 @@ def given_driver(given: Any) -> GivenDriver:
             f"A driver must be a name, a function of one observation, an object with a predict method or a model of "
             f"Stable-Baselines3, and {brief(given)} is {kind}"
         )
-    return GivenDriver(_importable_name(given) or f"{IN_MEMORY}:{_label(given)}", driver)
+    label = getattr(given, "__name__", type(given).__name__)
+    return GivenDriver(_importable_name(given) or f"{IN_MEMORY}:{label}", driver)
 
 
 def _is_model(given: Any) -> bool:
@@ -101,7 +102,3 @@ def _importable_name(given: Any) -> str | None:
     module, name = getattr(given, "__module__", "__main__"), getattr(given, "__qualname__", "")
     found = getattr(sys.modules.get(module), name, None) if module != "__main__" else None
     return f"{module}:{name}" if found is given else None
-
-
-def _label(given: Any) -> str:
-    return str(getattr(given, "__name__", type(given).__name__))

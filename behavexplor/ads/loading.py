@@ -50,7 +50,8 @@ def check_name(name: str) -> None:
     system, separator, variant = name.partition(":")
     module = name.removesuffix(".py")
     if system not in SYSTEMS and not separator and Path(f"{module}.py").is_file():
-        raise InputError(f"{name!r} is a Python module: name the driver in it, such as {module}:MyDriver")
+        driver = f"{Path(module).name}:MyDriver"
+        raise InputError(f"{name!r} is a Python module: in its folder, name the driver in it, such as {driver}")
     if system.endswith(".py") and separator and Path(system).is_file():
         raise InputError(f"{name!r} names a file: in the folder of {system}, write {Path(system).stem}:{variant}")
     if not (separator or Path(name).exists()) and Path(f"{name}.zip").is_file():

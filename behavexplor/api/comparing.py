@@ -54,6 +54,7 @@ class Comparison:
 
     def decision(self, margin: float) -> MarginDecision:
         """Return whether the second driver is no worse than the first one by a margin, such as 0.01."""
+        pair_campaigns.check_numbers(1, margin)
         return MarginDecision.of(self.pairs, margin)
 
     @property

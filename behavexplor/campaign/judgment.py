@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 from behavexplor.campaign.confirmation import Confirmation, difference, keep
 from behavexplor.campaign.record import ERROR, Record, Result
@@ -18,6 +18,7 @@ from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import collision_fault
 from behavexplor.judge.specs import SPECS, Spec, Verdict, judge
 
+_REPETITIONS: Final = 4  # of an execution in the engine: a driver that draws at random may do the same twice by chance
 _ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # memory address of an object, which differs from run to run
 
 
@@ -138,20 +139,23 @@ def confirmed(executor: Executor, store: Store, numbers: Sequence[int]) -> Itera
 
 
 def confirmation(executor: Executor, execution: Execution, original: "Future[bytes] | None" = None) -> Confirmation:
-    """Compare a recorded execution with one in highway-env; if they differ, the engine executes the scenario again.
+    """Compare a recorded execution with one in highway-env; if they differ, both execute the scenario again.
 
-    If that gives the recorded execution again, the engines disagree, an error of this package; else the driver or the
-    environment does not do the same twice. `original` is the execution in highway-env, if that has begun.
+    If each always does the same, they disagree, an error of this package; else the driver or the environment does not
+    do the same twice. `original` is the execution in highway-env, if that has begun.
     """
-    original = original or executor.submit(ORIGINAL, execution.scenario.to_json().encode())
+    scenario = execution.scenario.to_json().encode()
     recorded = execution.record.error or execution.load_trace()
-    apart = difference(recorded, _outcome(original))
+    theirs = _outcome(original or executor.submit(ORIGINAL, scenario))
+    apart = difference(recorded, theirs)
     if apart is None:
         return Confirmation("confirmed")
-    again = executor.submit(EXECUTE, execution.scenario.to_json().encode())
-    if difference(recorded, _outcome(again)) is None:
+    again = [(recorded, executor.submit(EXECUTE, scenario)) for _ in range(_REPETITIONS)]
+    again.append((theirs, executor.submit(ORIGINAL, scenario)))
+    if all(difference(first, _outcome(one)) is None for first, one in again):
         return Confirmation("disagrees", f"the compiled engine and highway-env disagree: {apart}")
-    words = "the driver or the environment does not do the same twice, as if it drew at random or remembered episodes"
+    words = "the driver or the environment does not do the same twice, as if it drew at random, remembered earlier "
+    words += "episodes or looked at the other rows of a batch"
     return Confirmation("changes", words)
 
 

@@ -196,7 +196,8 @@ class Store:
         try:
             return self._connection.execute(query).fetchone()[0]
         except sqlite3.DatabaseError as error:
-            raise InputError(f"{self.folder / DATABASE} is damaged: {error}") from None
+            mend = "`fuzz --resume` saves what is readable and executes the rest again"
+            raise InputError(f"{self.folder / DATABASE} is damaged ({error}): {mend}") from None
 
     def add(self, execution: Execution) -> None:
         """Add an execution, which counts from the next `commit` on."""

@@ -200,7 +200,8 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     listed = "\n\n".join(map(text, all_tables)) + "\n"
     drawn = curves(experiment, summaries)
     files = {"summaries.csv": summaries_csv(summaries), "tables.txt": listed, "curves.csv": curves_csv(drawn)}
-    files |= {f"tables/{table.name}.{kind}": content for table in all_tables for kind, content in _files(table).items()}
+    files |= {f"tables/{table.name}.csv": table_csv(table) for table in all_tables}
+    files |= {f"tables/{table.name}.md": table_markdown(table) for table in all_tables}
     figure = curves_svg(drawn)
     if figure is not None:
         files["curves.svg"] = figure
@@ -225,10 +226,6 @@ def _by_scenario(table: Table) -> list[Table]:
     names = dict.fromkeys(str(row[0]) for row in table.rows)
     rows = {name: tuple(row[1:] for row in table.rows if row[0] == name) for name in names}
     return [Table(table.name, name, columns, own, blocks=(len(own),)) for name, own in rows.items()]
-
-
-def _files(table: Table) -> dict[str, str]:
-    return {"csv": table_csv(table), "md": table_markdown(table)}
 
 
 def _stoppable(runner: ExperimentRunner) -> AbstractContextManager[None]:

@@ -65,7 +65,9 @@ def export(
     store = Store.read(run)
     try:
         chosen = tuple(dict.fromkeys(numbers)) or tuple(record.id for record in store.records() if record.failed)
-        config = stored_config(run).says if format == "csv" else _accepted(run, trust)
+        config = stored_config(run).says
+        if format != "csv":  # the environment is made for its road; nothing is driven
+            config = accepted(stored_config(run), Consent(trust), DRIVING - {ADS})
         with _new_files(out) as draft:
             scenes = _Scenes(run, config, draft, out, is_ego_free=ego == "free", as_routes=routes, for_carla=for_carla)
             for execution in map(store.execution, chosen):
@@ -96,11 +98,6 @@ def _new_files(out: Path) -> Iterator[Path]:
                 )
         for file, there in files.items():
             file.replace(there)
-
-
-def _accepted(run: Path, trust: tuple[str, ...]) -> CampaignConfig:
-    """Return the configuration of a run whose environment may be made. Nothing is driven."""
-    return accepted(stored_config(run), Consent(trust), DRIVING - {ADS})
 
 
 _AT_ONCE: Final = f"ended in the first frame: nothing moves as recorded until the time limit of {EPISODE_TIME:g} s"

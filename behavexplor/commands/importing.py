@@ -2,7 +2,6 @@
 
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -63,8 +62,9 @@ def importing(
     if out is not None:
         write_json(out, scenario.to_dict())
     if ads is not None:
-        how: dict[str, Any] = {"trust": (trust,) if trust else (), "unconfined": unconfined, "activation": activation}
-        return _execute(scenario, replace(_target(scenario, scene, ads), **how), logical)
+        how: dict[str, Any] = {"env_config": scene.env_config, **scenario.conditions, "activation": activation}
+        consent: dict[str, Any] = {"trust": (trust,) if trust else (), "unconfined": unconfined}
+        return _execute(scenario, Target(scene.environment, ads, confirm=False, **how, **consent), logical)
     if out is None:
         say(scenario.to_json())
     return OK
@@ -96,10 +96,6 @@ def _check_road(file: Path, scene: SceneFile, plan: Any) -> None:
         write_road(plan, path.stem, own)
         if not same_road(path, own):
             raise InputError(f"{path} is not the road of {scene.environment}, and a road cannot be changed by a scene")
-
-
-def _target(scenario: Scenario, scene: SceneFile, ads: str) -> Target:
-    return Target(scene.environment, ads, confirm=False, **{"env_config": scene.env_config, **scenario.conditions})
 
 
 def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> int:

@@ -22,8 +22,9 @@ def status(run: RunFolder, *, json_file: JsonFile = None) -> int:
     found, is_running = summarize(run), is_being_written(run)
     ago = max(time.time() - last_written(run), 0.0)
     write_json(json_file, {"run": str(run), "running": is_running, "written_ago": ago, **found.to_dict()})
+    classes = [hanging(f"{one.count:7}  ", f"{one.words} ({one.id}, first {one.first})") for one in found.classes]
     unsure = [wrapped(line) for line in found.not_confirmed]
-    say("\n".join([_head(found, is_running=is_running, ago=ago), *_class_lines(found), *unsure]), file=output)
+    say("\n".join([_head(found, is_running=is_running, ago=ago), *classes, *unsure]), file=output)
     return OK
 
 
@@ -36,7 +37,3 @@ def _head(found: RunSummary, *, is_running: bool, ago: float) -> str:
         found.words,
     )
     return "\n".join(wrapped(line) for line in lines)
-
-
-def _class_lines(found: RunSummary) -> list[str]:
-    return [hanging(f"{one.count:7}  ", f"{one.words} ({one.id}, first {one.first})") for one in found.classes]

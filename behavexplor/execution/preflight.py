@@ -101,7 +101,7 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
         getattr(simulation.ads, "said", None),
         _unconfigured(simulation),
         _uncompiled(simulation),
-        _unrepeatable(simulation, scenarios[0]),
+        _unrepeatable(simulation, scenarios[0], traces[0]),
         _unmasked(simulation.ads),
         _constant(simulation, witness.actions),
         _motionless(traces),
@@ -115,7 +115,7 @@ def _traces(simulation: Simulation, ads: Any, scenarios: list[Scenario]) -> list
     envs = simulation.compiled(len(scenarios))
     if envs is None:
         return [rollout(simulation.env, simulation.driver(1, ads), scenario) for scenario in scenarios]
-    return [trace for _, trace in rollout_all(envs, simulation.driver(envs.num_envs, ads), scenarios)]
+    return [trace for _, trace in sorted(rollout_all(envs, simulation.driver(envs.num_envs, ads), scenarios))]
 
 
 def _unconfigured(simulation: Simulation) -> str | None:
@@ -136,16 +136,24 @@ def _uncompiled(simulation: Simulation) -> str | None:
     return f"One scenario is executed at a time, many times as slow as compiled: {reason}"
 
 
-def _unrepeatable(simulation: Simulation, scenario: Scenario) -> str | None:
-    """Return a warning if a scenario does not determine its episode: because of the environment, or of the ADS."""
+def _unrepeatable(simulation: Simulation, scenario: Scenario, together: Trace) -> str | None:
+    """Return a warning if a scenario does not determine its episode: because of the environment, or of the ADS.
+
+    `together` is the trace of the episode that was driven in lock-step with others.
+    """
     if simulation.logical.has_original and not _begins_alike(simulation.env, scenario):
         return f"The environment begins the same scenario in another way when it is repeated, {_SO_NOT_REPLAYED}"
     witness = _Witness(simulation.ads)
     (first,) = _traces(simulation, witness, [scenario])
     actions = list(witness.actions)
     (second,) = _traces(simulation, witness, [scenario])
-    if first.to_bytes() == second.to_bytes():
+    if first.to_bytes() == second.to_bytes() == together.to_bytes():
         return None
+    if first.to_bytes() == second.to_bytes():
+        return (
+            "The driver drives a scenario otherwise when it drives others at the same time, so its failures cannot be "
+            "replayed: decide each row from its own observation and state, or leave out `vectorized`"
+        )
     (again,) = _traces(simulation, _Playback(actions), [scenario])
     if not np.array_equal(again.position, first.position):
         return f"The environment goes on in another way when a scenario is repeated, {_SO_NOT_REPLAYED}"

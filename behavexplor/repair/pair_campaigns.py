@@ -30,6 +30,7 @@ from behavexplor.execution.start import check_loading, logical_of_target, start_
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.judge.fault import collision_fault, is_at_fault
+from behavexplor.judge.outcomes import outcomes_of
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import Spec, Verdict, judge
 from behavexplor.repair.pairs import Pairs, paired
@@ -184,7 +185,9 @@ def second_config(first: CampaignConfig, ads: str, folder: Path) -> CampaignConf
 def compared(folder: Path) -> list[Pairs]:
     """Return the paired statistics of a folder's two runs."""
     with closing(Store.read(folder / FIRST)) as first, closing(Store.read(folder / SECOND)) as second:
-        return paired(first.records(), second.records())
+        driven = next((record.id for record in first.records() if record.error is None), 0)
+        asked = outcomes_of(first.execution(driven).load_trace()).asked
+        return paired(first.records(), second.records(), asked)
 
 
 def check_search(config: CampaignConfig) -> None:

@@ -1,7 +1,7 @@
 """Paired statistics of two drivers: what each of them did in the same scenarios."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Self
 
@@ -93,8 +93,10 @@ class MarginDecision(NamedTuple):
         return f"{head} (failures at fault; decided after {self.after} scenarios; 95 %, valid at any time)"
 
 
-def paired(first: Iterable[Record], second: Iterable[Record]) -> list[Pairs]:
+def paired(first: Iterable[Record], second: Iterable[Record], asked: Collection[str]) -> list[Pairs]:
     """Compare two drivers' records one by one: any failure, failures at fault, and violations of each spec.
+
+    Of the built-in specs, `asked` names those that mean something in the environment.
 
     Raises:
         InputError: if the scenarios are not the same.
@@ -103,7 +105,9 @@ def paired(first: Iterable[Record], second: Iterable[Record]) -> list[Pairs]:
     for one, other in records:
         if _scene(one) != _scene(other):
             raise InputError(f"Execution {one.id} is another scenario in the other run, so they cannot be compared")
-    names = dict.fromkeys([*(spec.name for spec in SPECS), *(name for pair in records for name in _judged(pair))])
+    ours = [spec.name for spec in SPECS]
+    judged = dict.fromkeys(name for pair in records for one in pair for name in (*one.degrees, *one.violated))
+    names = [*(name for name in ours if name in asked), *(name for name in judged if name not in ours)]
     outcomes: dict[str, Callable[[Record], bool]] = {
         FAILED: lambda record: record.failed,
         AT_FAULT: lambda record: record.at_fault,
@@ -132,10 +136,6 @@ def _pairs(outcome: str, records: Sequence[tuple[Record, Record]], shown: Callab
         both=sum(a and b for _, a, b in found),
         neither=sum(not a and not b for _, a, b in found),
     )
-
-
-def _judged(pair: tuple[Record, Record]) -> list[str]:
-    return [name for record in pair for name in (*record.degrees, *record.violated)]
 
 
 def _violation_of(name: str) -> Callable[[Record], bool]:

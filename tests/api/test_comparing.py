@@ -96,4 +96,6 @@ def test_a_comparison_with_a_margin_ends_when_it_is_decided(tmp_path):
         confirm=False,
     )
     assert found.decision(0.9).found == "non-inferior"
+    with pytest.raises(InputError, match="The margin 5 must lie between 0 and 1"):
+        found.decision(5)
     assert found.pairs[0].n == 250

@@ -1,9 +1,11 @@
 """Confirmation of failures in highway-env itself: which are tried, and what comes out; records do not depend on it."""
 
 import json
+from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +13,13 @@ import pytest
 from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.confirmation import FOLDER, OF_EACH_CLASS, difference, read_confirmations
+from behavexplor.campaign.judgment import confirmation
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
 from behavexplor.commands import INTERRUPTED, OK, main
 from behavexplor.commands.wording import counted
+from behavexplor.execution.evaluator import EXECUTE, ORIGINAL
 from behavexplor.execution.simulation import Simulation
 from behavexplor.report.reading import read_run
 from tests.envs.highway import strange
@@ -166,6 +170,31 @@ def test_a_driver_that_changes_is_not_taken_for_an_error_of_the_engine(tmp_path,
     assert [one.state for one in read_confirmations(tmp_path).values()] == ["changes"]
     said = read_confirmations(tmp_path)[0].said_of(0)
     assert "not repeatable: the driver or the environment does not do the same twice" in said
+
+
+@pytest.mark.parametrize(
+    ("engine", "original", "state"),
+    [
+        ([0, 0, 0, 0], [1, 1], "disagrees"),
+        ([0, 0, 0, 1], [1, 1], "changes"),  # which came out equal three times, as by chance
+        ([0, 0, 0, 0], [1, 0], "changes"),
+        ([], [0], "confirmed"),
+    ],
+)
+def test_an_engine_disagrees_only_if_both_always_do_the_same(whole, engine, original, state):
+    with closing(Store.read(whole[0])) as store:
+        execution = store.execution(min(whole[2]))
+    traces = execution.load_trace(), moved(execution.load_trace())
+    answers = {EXECUTE: iter(engine), ORIGINAL: iter(original)}
+
+    def submit(function, _):
+        future = Future()
+        future.set_result(traces[next(answers[function])].to_bytes())
+        return future
+
+    found = confirmation(SimpleNamespace(submit=submit), execution)
+    assert found.state == state
+    assert [*answers[EXECUTE], *answers[ORIGINAL]] == []
 
 
 def test_failures_in_traffic_that_draws_elsewhere_are_said_to_be_not_repeatable(tmp_path, monkeypatch):

@@ -172,7 +172,7 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
         (["fuzz", "--ads", "rules"], "did you mean 'rule'?"),
         (["fuzz", "--env", "intersection"], "did you mean 'intersection-left' or 'intersection-straight'?"),
         (["fuzz", "--ads", "tests.nothing:here"], "looked for in this folder and on PYTHONPATH"),
-        (["fuzz", "--ads", "tests/drivers.py"], "is a Python module: name the driver in it, such as"),
+        (["fuzz", "--ads", "tests/drivers.py"], "in its folder, name the driver in it, such as drivers:MyDriver"),
         (["fuzz", "--ads", "tests/drivers.py:Swerver"], "in the folder of tests/drivers.py, write drivers:Swerver"),
         (["fuzz", "--ads", "tests.drivers:make_nothing"], "has no predict method"),
         (["fuzz", "--ads", "tests.drivers:np.pi"], "cannot be imported"),

@@ -51,6 +51,16 @@ class Forgetful(Cruiser):
         return actions * (0.9 if self.drives == 2 else 1.0), state
 
 
+class Comparing(Cruiser):
+    """Decides each row by the others."""
+
+    vectorized = True
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        actions, state = super().predict(observation, state)
+        return actions * (0.9 if len(observation) > 1 else 1.0), state
+
+
 def warnings_about(driver):
     simulation = Simulation("lane-follow", f"tests.drivers:{Cruiser.__name__}")
     simulation.ads = driver
@@ -167,6 +177,12 @@ def test_an_environment_that_does_not_repeat_its_episodes_is_named():
 def test_a_driver_that_does_not_repeat_its_drives_is_named(driver):
     (warning,) = warnings_about(driver())
     assert warning.startswith("The driver does not drive the same scenario in the same way")
+
+
+def test_a_driver_whose_rows_depend_on_each_other_is_named():
+    (warning,) = warnings_about(Comparing())
+    assert warning.startswith("The driver drives a scenario otherwise when it drives others at the same time")
+    assert warning.endswith("or leave out `vectorized`")
 
 
 def test_traffic_that_draws_elsewhere_is_named(monkeypatch):

@@ -10,7 +10,10 @@ from behavexplor.campaign.record import Record
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
+from behavexplor.judge.specs import SPECS
 from behavexplor.repair.pairs import AT_FAULT, COLUMNS, FAILED, Pairs, paired, rows
+
+NAMES = tuple(spec.name for spec in SPECS)
 
 
 def record(number, *violated, fault=None, scenario=None):
@@ -25,7 +28,7 @@ def pairs(fixed, broken, both=0, neither=0):
 def test_what_only_one_driver_fails_is_fixed_or_broken():
     first = [record(0, "lines"), record(1, "collision", "destination"), record(2), record(3)]
     second = [record(0), record(1, "collision"), record(2, "collision", fault="npc_rear_end"), record(3)]
-    found = {row.outcome: row for row in paired(first, second)}
+    found = {row.outcome: row for row in paired(first, second, NAMES)}
     assert list(found) == [FAILED, AT_FAULT, "collision", "lines", "destination"]
     assert (found[FAILED].only_first, found[FAILED].only_second) == ((0,), (2,))
     assert (found[AT_FAULT].only_first, found[AT_FAULT].only_second) == ((0,), ())
@@ -34,9 +37,15 @@ def test_what_only_one_driver_fails_is_fixed_or_broken():
     assert found[FAILED].rates == (0.5, 0.5)
 
 
+def test_specs_that_mean_nothing_in_the_environment_are_left_out():
+    first, second = [record(0, "lines", "mine")], [record(0, "mine")]
+    outcomes = [row.outcome for row in paired(first, second, ("collision", "arrived"))]
+    assert outcomes == [FAILED, AT_FAULT, "collision", "mine"]
+
+
 def test_runs_of_other_scenarios_are_refused():
     with pytest.raises(InputError, match="Execution 1 is another scenario"):
-        paired([record(0), record(1)], [record(0), record(1, scenario=ScriptedScenario("elsewhere", ()))])
+        paired([record(0), record(1)], [record(0), record(1, scenario=ScriptedScenario("elsewhere", ()))], NAMES)
 
 
 def test_the_same_draws_are_the_same_scenario_for_policies_that_see_and_act_otherwise():
@@ -44,10 +53,10 @@ def test_the_same_draws_are_the_same_scenario_for_policies_that_see_and_act_othe
         return DrawnScenario(Setup("merge-v0", config, "default", "1.12.1"), seed, (("a", (0.5,)),))
 
     first = [record(0, scenario=drawn('{"duration":20,"observation":{"type":"Kinematics"}}'))]
-    assert paired(first, [record(0, scenario=drawn('{"action":{"type":"DiscreteMetaAction"},"duration":20}'))])
+    assert paired(first, [record(0, scenario=drawn('{"action":{"type":"DiscreteMetaAction"},"duration":20}'))], NAMES)
     for other in (drawn('{"duration":30}'), drawn('{"duration":20}', seed=4)):
         with pytest.raises(InputError, match="another scenario"):
-            paired(first, [record(0, scenario=other)])
+            paired(first, [record(0, scenario=other)], NAMES)
 
 
 @pytest.mark.parametrize(("fixed", "broken"), [(0, 0), (1, 1), (5, 0), (10, 2), (6, 59)])
