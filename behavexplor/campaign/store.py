@@ -47,7 +47,7 @@ class Execution:
 
     @property
     def members(self) -> Sequence[str]:
-        """The members of the record as a JSON object."""
+        """The members of the record's JSON object, each as a text `"name": value`."""
         return self.written or self.record.members
 
     @property
@@ -102,13 +102,13 @@ class Store:
     def _locked(cls, folder: Path, config: str | None) -> Self:
         """Lock a folder and open it for writing."""
         try:
-            lock = lock_folder(folder_in(folder))
+            lock = lock_folder(folder_in(folder))  # the folder is created if it does not exist
         except OSError as error:
             raise _unwritable(folder, error) from None
         try:
             if config is not None:
                 write_durably(folder / CONFIG, config)
-            folder_in(folder, FAILURES)
+            folder_in(folder, FAILURES)  # created if it does not exist
             repaired = _repaired(folder)
             return cls(folder, _prepared(folder), lock, repaired)
         except (OSError, sqlite3.Error) as error:
@@ -231,9 +231,9 @@ class Store:
         return committed
 
     def _write_failure(self, execution: Execution) -> None:
-        text = ",\n ".join(execution.members)
+        members = ",\n ".join(execution.members)  # each is a text `"name": value`
         path = failure_path(self.folder, execution.id)
-        write_whole(path, f"{{\n {text}\n}}\n")  # the database has what may be lost
+        write_whole(path, f"{{\n {members}\n}}\n")  # not durably: `recall` writes a lost file again from the database
 
     def _has_failure_file(self, number: int) -> bool:
         path = failure_path(self.folder, number)
@@ -342,7 +342,7 @@ def _execution(row: database_rows.Row) -> Execution:
 
 
 def _record(row: database_rows.Row) -> Record:
-    """Return the record in a row."""
+    """Return the record in a row. Raises a `DamagedError` if there is no valid one, or that of another execution."""
     try:
         record = Record.from_json(row.record)
     except ValueError as error:

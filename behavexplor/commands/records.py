@@ -14,7 +14,7 @@ from behavexplor.commands.wording import say
 
 
 def records(run: RunFolder) -> int:
-    """Print the record of each execution as one line of JSON, in order. Equal campaigns print equal lines.
+    """Print the record of each execution as one line of JSON, in order. Equal campaigns have equal records.
 
     A failure also says whether the driving system was at fault, as far as its trace can tell. If highway-env
     itself has repeated it, "confirmation" says what came out.

@@ -1,4 +1,4 @@
-"""Concrete scenarios of scripted vehicles: their routes, their speeds along these, and which values are possible.
+"""Concrete scenarios of scripted vehicles: their routes, the speeds along them, and the ranges of both on a map.
 
 A `ScriptedScenario` is a frozen value that knows neither map nor simulator. `ScriptedRanges` has the values that are
 possible on a map; `behavexplor.data.scripted_logical.ScriptedLogicalScenario` draws and varies scenarios within them.
@@ -25,7 +25,7 @@ from behavexplor.errors import InputError, brief, unknown_name
 
 MAX_NAME_LENGTH = 200  # characters
 MAX_NUMBER = 1e9  # limit of positions [m] and speeds [m/s]
-_ATTEMPTS: Final = 1000  # vehicles that are drawn until one can be placed
+_ATTEMPTS: Final = 1000  # greatest number of vehicles that are drawn until one can be placed
 _MARGIN: Final = 1e-6  # much more than roundings change a distance [m]
 
 
@@ -290,7 +290,7 @@ class ScriptedRanges:
         return self._conflict(self._placed(npc), list(map(self._placed, others)))
 
     def first_to_fit(self, vehicles: Iterable[NPC], others: Sequence[NPC]) -> NPC | None:
-        """Return the first of some vehicles that can start beside others, see `spawn_conflict`; None if none can."""
+        """Return the first vehicle that can start beside others, or None. Those after it are not taken, or drawn."""
         placed = list(map(self._placed, others))
         return next((npc for npc in vehicles if self._conflict(self._placed(npc), placed) is None), None)
 
@@ -336,7 +336,7 @@ class ScriptedRanges:
         return ranges
 
     def pass_over(self, rng: np.random.Generator) -> None:
-        """Advance the generator as `sample` does, without making a scenario."""
+        """Advance the generator as `sample` does. How many numbers that takes depends on the vehicles drawn."""
         self.sample(rng)
 
     def sample(self, rng: np.random.Generator) -> ScriptedScenario:
@@ -354,12 +354,12 @@ class ScriptedRanges:
         """Sample a vehicle with a uniform type, route and waypoints, regardless of other vehicles."""
         kind = self.vehicle_types[rng.integers(len(self.vehicle_types))]
         route = self.roadmap.npc_routes[rng.integers(len(self.roadmap.npc_routes))]
-        ranges, position, (slowest, fastest) = self.ranges[route.name], 0.0, self.speed_range
-        waypoints = []
-        for allowed, (along, fast) in zip(ranges, rng.random((len(ranges), 2)).tolist(), strict=True):
+        ranges, (slowest, fastest) = self.ranges[route.name], self.speed_range
+        waypoints, position = [], 0.0
+        for allowed, (along, share) in zip(ranges, rng.random((len(ranges), 2)).tolist(), strict=True):
             least = max(allowed.start, position)
-            position = least + (allowed.end - least) * along
-            waypoints.append(Waypoint(position, slowest + (fastest - slowest) * fast))
+            position = least + (allowed.end - least) * along  # as `rng.uniform` does; one call for all is faster
+            waypoints.append(Waypoint(position, slowest + (fastest - slowest) * share))
         waypoints[-1] = Waypoint(position, 0.0)
         return NPC(kind, route.name, tuple(waypoints))
 

@@ -28,7 +28,7 @@ class Service:
     """
 
     functions: Mapping[str, Callable[[bytes], bytes]]  # functions from bytes to bytes, by name
-    # whether third-party code will run in the process, which then gives up rights, see `confine`, and has no terminal
+    # whether the process gives up rights, see `confine`, and has no terminal, because third-party code will run in it
     is_confined: bool = False
     batch: Batch | None = None  # processes many calls of `Recipe.batched` at a time; None if each is made alone
 

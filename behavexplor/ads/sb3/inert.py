@@ -89,7 +89,7 @@ class PickleReader:
         return unread if inner else frozenset().union(*(machine.names for machine in machines))
 
     def _followed(self, data: bytes | BinaryIO, *, is_framed: bool = True) -> tuple[Any, "_Machine"]:
-        """Return the value of the next pickle, and the machine that has made it.
+        """Return the value of the next pickle in `data`, which may be a file, and the machine that has made it.
 
         `is_framed` says whether it may have frames, whose ends could hide where the next pickle of a file begins.
         """

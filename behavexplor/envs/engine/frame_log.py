@@ -14,7 +14,7 @@ Frame: TypeAlias = np.record
 NO_MARGIN: Final = 0.0  # [m]
 
 FRAME: Final = record_type(
-    n_things=np.int64,  # vehicles and obstacles; 0 if the slot took no action
+    n_things=np.int64,  # number of logged vehicles and obstacles; 0 if the slot took no action
     ego=np.int64,  # the ego's place among them
     is_on_road=np.bool_,  # highway-env's `on_road` of the ego
 )
@@ -63,7 +63,7 @@ def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> 
     frame.n_things, frame.ego = count, episode.ego - first  # the ego's place among what is written
     lane = network.lanes[scene.vehicles[episode.ego].lane]
     station, offset = scene.scratch.stations[episode.ego], scene.scratch.offsets[episode.ego]
-    frame.is_on_road = is_on_lane(lane, station, offset, NO_MARGIN)
+    frame.is_on_road = is_on_lane(lane, station, offset, NO_MARGIN)  # `is_on_road`, from the noted coordinates
     for k in range(count):
         i = first + k
         thing, vehicle = things[k], scene.vehicles[i]
