@@ -260,7 +260,7 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
 
 
 def begin_stage(model: BaseAlgorithm, venv: VecEnv, seed: Sequence[int], rate: float) -> None:
-    """Set new episodes, random generators and the learning rate of a stage, whose `seed` may have several numbers."""
+    """Set new episodes, generators and learning rate; `seed` is, say, the training's seed and the stage's number."""
     networks, episodes = np.random.SeedSequence(seed).generate_state(2)
     set_random_seed(int(networks))
     venv.seed(int(episodes))

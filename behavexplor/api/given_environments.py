@@ -25,7 +25,7 @@ _MONITOR: Final = "stable_baselines3.common.monitor"  # the module of a wrapper 
 
 
 def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[str, Any] | None]:
-    """Return the name of an environment, and its configuration; None as that of a name.
+    """Return the name of an environment, and its configuration, which is None for an environment given by name.
 
     An environment is given by name, as in `behavexplor.envs.making.environment_id`, or as an object that gymnasium has
     made. The configuration of an object is what differs from its default. For an environment of highway-env, it also
@@ -57,7 +57,7 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
 
 
 def given_config(of_env: Mapping[str, Any] | None, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return what is known of a configuration, from an environment object and from what is given beside it, or None."""
+    """Return what is known of a configuration from an environment object and what is given with it; None if nothing."""
     if of_env is None and given is None:
         return None
     return dict(json.loads(config_text({**(of_env or {}), **(given or {})})))

@@ -110,7 +110,7 @@ class Replay:
 
     @property
     def picture(self) -> Image.Image:
-        """The decisive frame: the collision, the first touch of a line, or the end."""
+        """The decisive frame: the first touch of a line, the last frame, or without a violation the nearest pass."""
         return draw(self._footage, decisive_frame(self.trace, self._footage.violated))
 
     def save(self, path: str | Path) -> Path:

@@ -146,7 +146,7 @@ def _warnings_of_idle_workers(config: CampaignConfig, workers: int) -> list[str]
 
 
 def _complete(folder: Path, logical: LogicalScenario, executor: Executor) -> None:
-    """Write what a run folder has beside its executions, as far as it is missing."""
+    """Point the link to the latest run at this folder, and write the road's shape if the folder lacks it."""
     point_to_latest(folder)
     if logical.has_original and not (folder / ROAD_FILE).is_file():
         write_durably(folder / ROAD_FILE, executor.submit(ROAD, b"").result().decode())
@@ -199,7 +199,7 @@ Handler = Callable[[int, FrameType | None], object] | signal.Handlers
 
 @contextmanager
 def stopped_by_signals(stop: Callable[[], None], again: Handler) -> Iterator[None]:
-    """Make the first Ctrl-C (or SIGTERM) call `stop`, which ends this code cleanly; `again` handles the second one."""
+    """Make the first Ctrl-C (or SIGTERM) call `stop`, to end the code in this context; `again` handles the second."""
 
     def first(number: int, _frame: FrameType | None) -> None:
         stop()

@@ -1,7 +1,7 @@
 """Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object.
 
-A member of that object is a text `"name": value`. Members that are there already are not encoded again, because that
-takes a good part of a campaign's own time.
+A member of that object is a text `"name": value`. Members that are encoded already are written as they are, because
+encoding takes a good part of a campaign's own time.
 """
 
 import json
@@ -18,8 +18,8 @@ from behavexplor.judge.specs import ERROR, Verdict
 
 __all__ = ["ERROR", "Record"]
 
-_KEYS: Final = {"violation_class": "class"}  # names in JSON of the fields that have another one there
-_FIELDS: Final = {key: name for name, key in _KEYS.items()}
+_KEYS: Final = {"violation_class": "class"}  # names in JSON by field, where the two differ
+_FIELDS: Final = {key: name for name, key in _KEYS.items()}  # and the fields by their names in JSON
 encode_json: Final = json.JSONEncoder(allow_nan=False).encode  # `json.dumps` would make an encoder for each call
 
 

@@ -39,7 +39,7 @@ _SETTINGS = settings(
     CampaignConfig,
     "env activation env_config seed method budget specs confirm traffic stochastic trust unconfined",
     box="campaign",
-    env=(f"that of A, or {CampaignConfig.env}", ""),
+    env=(f"that of A, or {CampaignConfig.env}", ""),  # the default that the help shows, and an addition to the text
     method=("nsga2", " Used with --search."),
     budget=(CampaignConfig.budget, " Used with --search."),
 )
@@ -122,7 +122,7 @@ def _check(scenarios: int, margin: float | None, first: str, second: str) -> Non
 def _driven(
     config: CampaignConfig, second: str, folder: Path, workers: int, margin: float | None, *, quiet: bool
 ) -> tuple[CampaignConfig, list[Pairs], MarginDecision | None]:
-    """Drive with both until the margin is decided, and return the second configuration, the pairs and the verdict."""
+    """Drive the budget, or until the margin is decided; return the second configuration, the pairs and the verdict."""
     goes_on = False
     for budget in pair_campaigns.looks(int(config.budget), margin):
         config = replace(config, budget=str(budget))

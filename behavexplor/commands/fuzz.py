@@ -267,8 +267,8 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, output
         return EXECUTION_FAILED
     passed, words = checks.outcome(found) if code == OK else (True, "")
     if words:
-        text = wrapped(sentence(words)) if passed else f"{program()}: {sentence(words)}"
-        say(text, file=output.text if passed else sys.stderr)
+        verdict = wrapped(sentence(words)) if passed else f"{program()}: {sentence(words)}"
+        say(verdict, file=output.text if passed else sys.stderr)
     return code if passed else CHECK_FAILED
 
 

@@ -90,7 +90,7 @@ def parse_scenario(text: str) -> Scenario:
     return read_scenario(parse_json(text, "a scenario"))
 
 
-Value = float | str | None
+Value = float | str | None  # of a part of a scenario
 
 
 class Part(NamedTuple):

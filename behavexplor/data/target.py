@@ -1,7 +1,7 @@
 """Target: the driving system under test, its environment, and the conditions under which it drives.
 
-Each of these settings is stated here alone. Files, flags and the Python interface have its name, type, default and
-description from here.
+The files, flags and Python interface of campaigns have the name, type, default and description of each setting from
+here.
 """
 
 import os

@@ -78,7 +78,7 @@ def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> An
 
 
 def _extent(node: yaml.Node, known: dict[int, tuple[int, int]]) -> tuple[int, int]:
-    """Return the number of nodes in a node, with aliases expanded, and their depth, which is limited."""
+    """Return the number of nodes in a node, with aliases expanded, and their depth; check depth, integers and keys."""
     if node.tag == _INTEGER and len(node.value) > MAX_DIGITS:
         raise ValueError("an integer in it is too long")
     if id(node) not in known:

@@ -54,7 +54,7 @@ def default_ranges(n_side_lanes: int) -> dict[str, list[float]]:
 
 
 class SceneObservation(ObservationType):  # type: ignore[misc]
-    """Float64 array of shape (1 + n_npcs, 8) with the columns of `behavexplor.data.scene`."""
+    """All vehicles in world coordinates: float64, (1 + n_npcs, 8), with the columns of `behavexplor.data.scene`."""
 
     def __init__(self, env: Any, **_: Any) -> None:
         super().__init__(env)

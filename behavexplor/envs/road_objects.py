@@ -53,7 +53,7 @@ _NUMPY = SimpleNamespace(
 def with_c_library(function: Function) -> Function:
     """Return a copy of a function that uses the C library and plain dot products, for use in a method of a subclass.
 
-    The function is looked up at each call, since a program may replace it. Its module imports numpy as `np`, and it
+    Methods look the function up at each call, since a program may replace it. Its module imports numpy as `np`, and it
     applies trigonometry to scalars, and `dot` and `linalg.norm` to vectors of length 2. A callable of another type is
     returned as it is.
     """
@@ -228,7 +228,7 @@ def _ego_class(make: Callable[..., Vehicle]) -> Callable[..., Vehicle]:
 
 
 class ScriptedVehicle(Vehicle):  # type: ignore[misc]
-    """An NPC of a length and a width [m], which plays back its motion table, shape (T, 5), a row in each step."""
+    """An NPC of a `size` (length, width) [m], which plays back its rows (T, 5) of `data.npc_motion.motion_table`."""
 
     def __init__(self, road: Road, size: tuple[float, float], motion: Floats, route: list[LaneIndex]) -> None:
         self._motion = motion

@@ -180,14 +180,14 @@ def write_table(scenario: Scenario, trace: Trace, path: Path) -> None:
 
 
 def waypoint_text(script: NPC) -> str:
-    """Return the position [m] and speed [m/s] of each waypoint as a text, from which `read_script` restores them."""
+    """Return waypoints as a text that people can change, "position speed, position speed, ..." [m, m/s]."""
     return ", ".join(f"{waypoint.position!r} {waypoint.speed!r}" for waypoint in script.waypoints)
 
 
 def read_script(name: str, kind: str, route: str, text: str) -> NPC:
-    """Return a scripted vehicle of this type, on the route of this name, with the waypoints in a `waypoint_text`.
+    """Return a scripted vehicle of type `kind`, on the route named `route`, with the waypoints of a text.
 
-    `name`, that of the vehicle in its scene, is for error messages.
+    The text is as `waypoint_text` writes it. `name`, that of the vehicle in its scene, is for error messages.
 
     Raises:
         InputError: if the text does not describe waypoints.

@@ -77,7 +77,7 @@ class _CheckedSource(SourceFileLoader):
 
 
 class _CheckingFinder(MetaPathFinder):
-    """Finds modules as usual, and refuses those whose files have another digest.
+    """Finds modules with a known digest, and refuses those whose files have another one.
 
     The bytes of a source are those that are compiled. A library in machine code is compared just before it is loaded.
     """

@@ -129,7 +129,7 @@ _REACH = 10.0  # distance to the destination at which its term saturates [m], as
 class AssessmentOptions:
     """Options of the assessment that guides a search. With the defaults, it equals the recorded verdict.
 
-    The authors' released program is guided by figures that differ from the paper's formulas. Other values give these.
+    Other values give the figures that guide the authors' released program, which differ from the paper's formulas.
     """
 
     # violation degree. "sum" is the sum of the specs' degrees, the paper's O. "clipped" is the mean of the terms D_b,
@@ -220,8 +220,8 @@ class BehAVExplorOptions:
     # source of novelty. "measured" is the novelty of a mutant's behavior. "random" is a control in which novelty and
     # distance are drawn from [0, 1]. "none" is the paper's w/o BG.
     novelty: Literal["measured", "random", "none"] = "measured"
-    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # theta_c: novel if farther from all known
-    # testcases whose behaviors are known (the paper's Y): all that were "kept", or only initial and "novel" ones
+    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # theta_c: farther from all of Y is novel
+    # Y, the testcases whose behaviors are known: all that were "kept", or only initial and "novel" ones
     known: Literal["kept", "novel"] = "kept"
     selection: Literal["energy", "uniform"] = "energy"  # how a testcase is drawn; "uniform" is the paper's w/o Energy
     mutation: Literal["energy", "random"] = "energy"  # how its mutation is chosen; "random" is the paper's w/o Energy
@@ -230,7 +230,7 @@ class BehAVExplorOptions:
     # epsilon of waypoint mutation, the probability that an NPC stays unchanged
     waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
     route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon of route mutation
-    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # epsilon of a waypoint
+    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # for a changed NPC's waypoint
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
     sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0  # standard deviation of waypoint mutation [m/s]
     # in highway-env environments, the standard deviation of the small mutation of a draw, as a share of the draw's

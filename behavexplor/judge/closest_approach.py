@@ -106,10 +106,10 @@ def _before_contact(trace: Trace, partner: int) -> int:
 def fill_nearest(position: Floats, heading: Floats, velocity: Floats, size: Floats, found: Floats) -> None:
     """Find the least time to collision of the ego, the first vehicle, with any other vehicle.
 
-    A vehicle is three discs in a row. Vehicles that do not move relative to each other never touch. Centers have the
-    shape (T, N, 2) [m], headings (T, N) [rad], velocities (T, N, 2) [m/s], and lengths and widths (N, 2) [m]. `found`,
-    shape (3,), is the greatest time that counts, and two zeros; afterwards the least time, its frame and its vehicle if
-    there is one.
+    A vehicle is three discs in a row. Pairs slower than 0.1 m/s relative to each other are passed over. Centers have
+    the shape (T, N, 2) [m], headings (T, N) [rad], velocities (T, N, 2) [m/s], and lengths and widths (N, 2) [m].
+    `found`, shape (3,), is the greatest time that counts, and two zeros; afterwards the least time, its frame and its
+    vehicle if there is one.
     """
     for t in range(len(position)):
         ego_x, ego_y = math.cos(heading[t, 0]) * size[0, 0], math.sin(heading[t, 0]) * size[0, 0]

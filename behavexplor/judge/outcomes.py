@@ -20,7 +20,7 @@ _FIRST_CODE: Final = ord("A")
 class Outcomes(NamedTuple):
     """What happened in one scenario."""
 
-    found: tuple[str, ...]  # the outcomes, see `Evaluation`
+    found: tuple[str, ...]  # the outcomes, see `behavexplor.evaluation.Evaluation`
     asked: tuple[str, ...]  # the outcomes, beside the verdicts on a collision, that mean something in the environment
     at_fault: bool  # whether the driver failed by its own fault; see `behavexplor.campaign.record.Record.at_fault`
 

@@ -58,7 +58,7 @@ def drive():
 def test_scenario(case, drive):
     outcome = drive(case)
     assert outcome.passed, outcome.words
-'''  # it is code, so it has no name that a run gives
+'''  # it is code, so no name from a run, such as the driver's, is put into it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +107,7 @@ class Suite:
     activation: Activation | None = None  # function between the layers of this driver, if it is a file of weights
     # SHA-256 of the files of this driver, see `behavexplor.campaign.same_driver.driver_digests`
     digests: Mapping[str, str] = field(default_factory=dict)
-    cases: tuple[Case, ...] = ()  # the cases in the order of their names
+    cases: tuple[Case, ...] = ()  # in the order of their files if read from a folder, or else as they were found
 
     def target(self, ads: str, **settings: Any) -> CheckedTarget:
         """Return the target that drives the cases with a driver.
@@ -164,7 +164,7 @@ class Suite:
         """Write the suite and its test file into a folder.
 
         Raises:
-            InputError: if the folder has such files already, or cannot be written.
+            InputError: if the folder is not new or empty, or cannot be written.
         """
         check_free(folder)
         remember(own_digests(self.claim))  # without it, the suite must be trusted, as on another machine

@@ -38,7 +38,7 @@ class CheckedCase:
 
 
 class Checker:
-    """Drives the cases of a suite."""
+    """Drives the cases of a suite by an executor of the driver, and judges them by the suite's specs."""
 
     def __init__(self, executor: Executor, logical: LogicalScenario, specs: Sequence[Spec]) -> None:
         self._executor = executor
@@ -52,19 +52,19 @@ class Checker:
             InputError: if its scenario does not belong to the environment.
             RuntimeError: if it could not be executed.
         """
-        return self._outcome(case, self._begun(case))
+        return self._checked(case, self._begun(case))
 
     def all_of(self, cases: Sequence[Case]) -> Iterator[CheckedCase]:
-        """Drive many cases at a time, and yield their outcomes in order; see `__call__`."""
+        """Drive many cases at a time, and yield what was checked in order; see `__call__`."""
         begun = [self._begun(case) for case in cases]
         for case, future in zip(cases, begun, strict=True):
-            yield self._outcome(case, future)
+            yield self._checked(case, future)
 
     def _begun(self, case: Case) -> "Future[bytes]":
         scenario = self._logical.adopted(case.load_scenario())
         return self._executor.submit(EXECUTE, scenario.to_json().encode())
 
-    def _outcome(self, case: Case, future: "Future[bytes]") -> CheckedCase:
+    def _checked(self, case: Case, future: "Future[bytes]") -> CheckedCase:
         try:
             trace = Trace.from_bytes(future.result())
         except ADSError as error:

@@ -48,7 +48,7 @@ class Trainee:
     scenarios: ScenarioVecEnv  # the environment that draws the scenarios
 
     def learn(self, seed: int, number: int, steps: int, rate: float, watch: BaseCallback) -> None:
-        """Train for a round, whose number is counted from 1, of `steps` decisions at a learning rate.
+        """Train for round `number`, counted from 1: `steps` decisions at a learning rate.
 
         In the first round, a new critic first learns alone for as many decisions. `seed` is that of the retraining.
 

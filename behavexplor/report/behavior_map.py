@@ -49,7 +49,7 @@ class Behaviors:
 
 
 def find_behaviors(traces: Mapping[int, Trace]) -> Behaviors:
-    """Abstract some traces, at least one, by their executions' numbers, with clusters fitted to all of them."""
+    """Abstract traces with clusters fitted to them. They are given by the numbers of their executions, at least one."""
     miner = BehaviorMiner(MinerOptions(clusters=len(LETTERS)))
     described = [miner.describe(trace) for trace in traces.values()]
     for behavior in described:

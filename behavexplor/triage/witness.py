@@ -25,8 +25,8 @@ from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import ViolationEvent, first_line_touch
 from behavexplor.triage.findings import Witness
 
-MAX_ACCELERATION: Final = 10.0  # greatest commanded acceleration and deceleration [m/s2]
-MAX_STEERING: Final = math.pi / 3  # greatest commanded steering angle to either side [rad]
+MAX_ACCELERATION: Final = 10.0  # greatest acceleration and deceleration that `ACTION` can command [m/s2]
+MAX_STEERING: Final = math.pi / 3  # greatest steering angle to either side that `ACTION` can command [rad]
 MOVING: Final = 1e-3  # below this speed, the steering has no effect and cannot be recovered [m/s]
 
 OBSERVATION: Final[Mapping[str, Any]] = MappingProxyType({"type": "Scene"})
@@ -43,9 +43,9 @@ BEYOND: Final = 60.0  # straight extension of a path at its end [m]
 BACK, AHEAD = 8, 16  # points behind and ahead of the last nearest point among which the next one is searched for
 LOOK_AHEAD: Final = 2.5  # look-ahead distance of the steering at standstill [m]
 LOOK_AHEAD_TIME: Final = 0.25  # growth of the look-ahead distance with the speed [s]
-STEERING: Final = 0.6  # greatest steering angle [rad]
-STEERING_RATE: Final = 0.8  # greatest change of the steering angle [rad/s]
-LATERAL: Final = 5.0  # greatest lateral acceleration [m/s2]
+STEERING: Final = 0.6  # greatest steering angle of an evasion [rad]
+STEERING_RATE: Final = 0.8  # greatest change of an evasion's steering angle [rad/s]
+LATERAL: Final = 5.0  # greatest lateral acceleration that an evasion steers for [m/s2]
 
 SURVIVED: Final = 4.0  # time after the recorded collision during which a witness touches no vehicle [s]
 SAMPLES: Final = 192  # random evasions that are tried before a collision counts as unpreventable
@@ -93,7 +93,7 @@ def as_actions(commands: Floats) -> Floats:
 
 
 class Playback:
-    """An ADS that gives commands as in `recorded_commands`, one at each step, and then repeats the last one."""
+    """An ADS that gives commands, shape (T, 2) as of `recorded_commands`, one a step, and then repeats the last."""
 
     def __init__(self, commands: Floats) -> None:
         self._actions = as_actions(commands)
@@ -113,7 +113,7 @@ class Playback:
 
 @dataclass(frozen=True)
 class Evasion:
-    """Driving that deviates from a recorded execution."""
+    """Driving as recorded up to some time, then braking, accelerating, or moving to the side."""
 
     name: str  # kind of evasion, for people
     begin: float  # time up to which the ego drives as recorded [s]

@@ -53,10 +53,10 @@ def choose(preferences: Floats, accelerations: Floats, rule: int, share: float) 
     """Return the wanted acceleration [m/s2] and the lane choice of one ego.
 
     The rule `MEAN` takes the mean acceleration and the most probable lane choice; `MOST_PROBABLE` the most probable
-    action, the first of several; and `DRAWN` the action at `share`, in [0, 1), of the cumulative probabilities.
+    action, the first of equal ones; and `DRAWN` the action at `share`, in [0, 1), of the cumulative probabilities.
 
-    `preferences` are the outputs of the network, shape (N_ACTIONS,), and `accelerations` those of the actions of one
-    lane choice, shape (N_ACTIONS / N_LANE_CHOICES,) [m/s2].
+    `preferences` are the network's outputs, shape (N_ACTIONS,); `accelerations` has the acceleration of each action of
+    one lane choice, shape (N_ACTIONS / N_LANE_CHOICES,) [m/s2].
     """
     if rule == MEAN:
         return _average(preferences, accelerations)

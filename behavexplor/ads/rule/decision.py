@@ -62,10 +62,8 @@ def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length:
         return True
     spans, last = graph.spans, station_time.N_INTERVALS - 1
     for i in range(graph.counts[last]):
-        if (
-            spans[last, i, station_time.LEADS] == 1.0
-            and spans[last, i, station_time.SOFT_LOW] < path.junction_end + half_length
-        ):
+        leads = spans[last, i, station_time.LEADS] == 1.0
+        if leads and spans[last, i, station_time.SOFT_LOW] < path.junction_end + half_length:
             return False
     return plan.risk == 0.0 and plan.inside == 0.0
 

@@ -23,7 +23,7 @@ class Surroundings(NamedTuple):
     """Input of one decision apart from the memory, and working space."""
 
     path: Path  # path of the ego
-    ways: LaneGraph  # lanes of the map, and the ways on along them
+    ways: LaneGraph  # lanes of the map, and the sequences of lanes along which vehicles can go on
     scene: Floats  # scene, shape (1 + n, 8), see `behavexplor.data.scene`
     others: Floats  # working space for the table of other vehicles, see `behavexplor.ads.rule.traffic`
     graph: station_time.StationTime  # working space for the station-time graph

@@ -105,7 +105,7 @@ def _online_only(state: dict[str, Any], optimizer: torch.optim.Optimizer) -> dic
 
 
 def _algorithm_of(archive: Archive, policy_class: type[Any]) -> type[BaseAlgorithm]:
-    """Return the algorithm that trained a model."""
+    """Return the algorithm that trained a model. An InputError says if such models cannot go on learning here."""
     module = policy_class.__module__
     if module in _BY_POLICY_MODULE:
         return _BY_POLICY_MODULE[module]

@@ -198,7 +198,7 @@ def load_network(archive: Archive, trust: Collection[str] = ()) -> BasePolicy:
     """Build the network of a model's file, by executing code from it only if its digest is in `trust`.
 
     Raises:
-        InputError: if it can be built only by executing code from a file that is not trusted.
+        InputError: if it needs code from a file that is not trusted, or has weights that are not finite.
     """
     is_trusted = archive.digest in trust
     if not is_trusted:

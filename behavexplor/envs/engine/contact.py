@@ -62,7 +62,7 @@ def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: in
 
 @kernel_inner
 def _count_within(xs: Floats, x: float, reach: float) -> int:
-    """Return the least number of first positions that include all within reach of x [m]: one pass without branches."""
+    """Return how many of the first positions contain all that are within reach of x [m]: one pass without branches."""
     end = 0
     for k in range(len(xs)):
         end = max(end, k + 1 if abs(xs[k] - x) <= reach else 0)

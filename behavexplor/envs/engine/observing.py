@@ -96,7 +96,7 @@ def _make_columns(observation: KinematicObservation) -> Records:
 
 @kernel_inner
 def observe(network: Network, view: View, scene: Scene, table: Singles) -> None:
-    """Fill a Kinematics observation, shape (vehicles_count, features). If it is "shuffled", the caller does that."""
+    """Fill a Kinematics observation, shape (vehicles_count, features). A "shuffled" order is left to the caller."""
     options, ego = view.options[0], scene.episode.ego
     n_seen = _sort_seen(network, view, scene, len(table) - 1)
     table[:] = 0.0

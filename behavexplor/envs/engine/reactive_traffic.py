@@ -162,7 +162,7 @@ def _free_acceleration(network: Network, scene: Scene, traits: Traits, i: int) -
 def _acceleration(network: Network, scene: Scene, traits: Traits, i: int, front: int, free: float) -> float:
     """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
 
-    `traits` are the driver's, who need not be that of vehicle i. `front` is the vehicle in front of vehicle i, or
+    `traits` are the driver's, whose own vehicle need not be vehicle i. `front` is the vehicle in front of vehicle i, or
     `NO_VEHICLE`; `free` is what the driver would want on a free road [m/s2].
     """
     if front == NO_VEHICLE or (scene.traits[i].kind == OBSTACLE and traits.kind != LINEAR):

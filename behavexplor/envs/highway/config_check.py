@@ -62,7 +62,7 @@ OBSERVATIONS = MappingProxyType(
 )
 # Methods that make the road and the first vehicles, which a subclass may replace.
 STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
-_OWN = STARTS | {"__init__"}
+_CHANGEABLE = STARTS | {"__init__"}
 
 
 def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], changes: object) -> None:
@@ -173,7 +173,7 @@ def known_class(env_class: type[AbstractEnv], *, rewards: bool = True) -> type[A
             f"The compiled engine does not know {env_class.__name__}; it knows {names} and subclasses with other roads "
             f"and starts; use gymnasium.make_vec with vectorization_mode='sync'"
         )
-    method = replaced(env_class, known, _OWN if rewards else _OWN | REWARDS)
+    method = replaced(env_class, known, _CHANGEABLE if rewards else _CHANGEABLE | REWARDS)
     if method is not None:
         raise InputError(
             f"The compiled engine does not know the method {method}; use gymnasium.make_vec with "

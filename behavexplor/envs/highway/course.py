@@ -16,7 +16,7 @@ from behavexplor.errors import InputError
 
 LaneIndex: TypeAlias = tuple[str, str, int | None]
 
-_STEP: Final = 2.0  # greatest distance of two points of a route where it is not straight [m]
+_STEP: Final = 2.0  # distance of points along a route or a lane's side where it is not straight, at most [m]
 _SAME: Final = 1e-6  # points nearer to each other are one [m]
 _MARKINGS: Final = {
     LineType.NONE: NO_LINE,
@@ -26,7 +26,7 @@ _MARKINGS: Final = {
 }
 _COMPARED: Final = 9  # points of a lane at which the plan is compared with the network
 _TOLERANCE: Final = 1e-6  # [m]
-_MOST_POINTS: Final = 400  # of one line
+_MOST_POINTS: Final = 400  # of one line for pictures, besides its end
 
 
 def ego_route(

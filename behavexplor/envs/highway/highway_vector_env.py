@@ -135,7 +135,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0
         self.frame_log = make_log(num_envs, n_logged, n_places)
         self._results = engine_making.make_results(self._single, self._engine, num_envs, self.frame_log)
-        self._decided = self._results.numbers, self._results.flags  # copies after the latest decision
+        self._decided = self._results.numbers, self._results.flags  # from the first decision on, copies after each
 
     def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
         starts = engine_making.chosen_starts(options.get("starts"), type(self._single), self.config, mask)

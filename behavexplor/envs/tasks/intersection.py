@@ -107,10 +107,10 @@ def _spawn_vehicle(
 ) -> None:
     """Let a vehicle appear, or not: `IntersectionEnv._spawn_vehicle`.
 
-    If draws are given, there are `N_DRAWS` for each call, also for one that needs less because no vehicle appears.
-
-    It appears about a station [m], with a probability unless there is no room. A challenger goes straight on, and
+    It appears about a `station` [m] with a `probability`, unless there is no room. A challenger goes straight on, and
     starts at nearly the same place and speed every time.
+
+    If draws are given, there are `N_DRAWS` for each call, also for one that needs less because no vehicle appears.
     """
     first, given = words[NEXT_GIVEN], is_given(words)
     _spawn(world, task, scene, words, station, probability, is_challenger)
@@ -163,7 +163,7 @@ def _distance(scene: Scene, i: int, x: float, y: float) -> float:
 
 @kernel_inner
 def clear_vehicles(network: Network, scene: Scene) -> None:
-    """Remove the traffic that leaves an intersection, in its order: `IntersectionEnv.clear_vehicles`.
+    """Remove the traffic that leaves an intersection, in its order: `IntersectionEnv._clear_vehicles`.
 
     The scene has no obstacles.
     """

@@ -45,7 +45,7 @@ KIND = TaskKind(
     best=("high_speed_reward", "right_lane_reward"),
     is_normalized=True,
     truncates=False,
-    end_x=lambda _: 370.0,  # x beyond which the merge ends [m]
+    end_x=lambda _: 370.0,  # x beyond which the episode ends [m]
     # lane 2 merges if the highway has two lanes; highway-env uses the same index for any number of lanes
     is_goal=lambda index, _: index == ("b", "c", 2),
     start_lanes=lambda _: (("a", "b", 0), ("a", "b", 1), ("j", "k", 0)),  # the two of the highway, then the ramp

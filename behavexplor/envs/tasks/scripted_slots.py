@@ -88,7 +88,7 @@ def begin_episodes(
     sizes: Floats,
     waypoints: Floats,
 ) -> bool:
-    """Begin an episode in each chosen slot. Return whether its NPCs have room; if some have not, nothing is changed.
+    """Begin an episode in each chosen slot. Return whether slots and NPCs fit the arrays; if not, nothing is changed.
 
     `chosen` has the numbers of E slots, and `counts` the number of NPCs in each, shape (E,). The NPCs of all episodes
     follow one another in the other arrays. `routes` has the row of each one's route, shape (n_npcs,), `sizes` its

@@ -19,8 +19,8 @@ from behavexplor.envs.road_objects import LANE_CLASSES, road_network
 ScriptedRules: TypeAlias = np.record
 
 RULES: Final = record_type(
-    min_speed=np.float64,  # of the ego [m/s]
-    max_speed=np.float64,  # [m/s]
+    min_speed=np.float64,  # least speed of the ego [m/s]
+    max_speed=np.float64,  # greatest speed of the ego [m/s]
     frequency=np.float64,  # simulation steps [Hz]
     dt=np.float64,  # duration of a step [s]
     substeps=np.int64,  # simulation steps per decision
@@ -29,7 +29,7 @@ RULES: Final = record_type(
     passed_distance=np.float64,  # distance beyond the destination at which it counts as passed [m]
     standstill_speed=np.float64,  # below which the ego counts as standing [m/s]
     standstill_frames=np.float64,  # standing steps at which an episode ends by a standstill
-    destination_x=np.float64,  # [m]
+    destination_x=np.float64,  # position of the destination [m]
     destination_y=np.float64,
     destination_cos=np.float64,  # of the lane's heading at the destination
     destination_sin=np.float64,

@@ -205,7 +205,7 @@ def no_starts() -> Starts:
 def make_starts(env: AbstractEnv, kind: TaskKind, obstacles: Records) -> Starts:
     """Return where the vehicles of an environment start, and their routes.
 
-    It has been reset, and makes its road and vehicles as highway-env does. Obstacles have the shape (n,) of `VEHICLE`.
+    The environment has been reset, and makes its road and vehicles as highway-env does. `obstacles`: (n,) of `VEHICLE`.
 
     Raises:
         InputError: if its road has no lanes where vehicles would start.
