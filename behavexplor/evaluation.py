@@ -101,7 +101,7 @@ class Judge(Evaluator):
     """An evaluator that tells the outcomes of a scenario instead of its trace, which takes longer to pack.
 
     If the driver decides for many episodes at a time in a compiled environment, it also counts: it drives a block of
-    scenarios without recording them, and drives only those that fail once more, for their traces. Failures are not
+    scenarios without recording them, and once more, for their traces, only those that fail. Failures are not
     confirmed one by one: a rate does not depend on the few episodes, if any, that end otherwise in highway-env, and a
     driver that crashes often would take hundreds of times as long.
     """
@@ -131,13 +131,13 @@ class Judge(Evaluator):
         return b"1" if self._episodes(int(slots)) else b""
 
     def count(self, block: bytes) -> bytes:
-        """Return the outcomes of a block of scenarios, see `packed`.
+        """Return the outcomes of a block of scenarios, see `packed`, and numbers of failures that did not recur.
 
         The block is, as JSON, the state of the generator that draws them, their number, and the number of slots.
 
         Raises:
             ADSError: if the ADS fails in one of them. It is unknown in which one.
-            RuntimeError: if a failure did not recur.
+            RuntimeError: if this driver or environment cannot count.
         """
         state, n, slots = json.loads(block)
         generator, logical = _generator(state), self.simulation.logical

@@ -61,7 +61,7 @@ class ConstantManeuver:
         self._index = MANEUVERS.index(maneuver)
 
     def fitted(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the configuration in which this driver drives, made of the environment's own."""
+        """Return an environment's configuration, changed so that this driver can drive in it."""
         return with_meta_actions(config)
 
     def predict(

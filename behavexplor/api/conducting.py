@@ -65,7 +65,7 @@ def conduct(
 
 
 def worker_count(given: GivenDriver, target: Target, workers: int | None) -> int:
-    """Return the number of worker processes: the one that was asked for, or for None as few as possible.
+    """Return the number of worker processes: 0 for a driver in memory, else `workers`, or as few as possible for None.
 
     Raises:
         InputError: if there cannot be that many, or the driver cannot drive in them.

@@ -39,7 +39,7 @@ class _MethodEntry(MethodChoice):
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment(Conditions):
-    """Every search method in every environment with every ADS, once with each seed.
+    """Every search method in every environment with every ADS, once with each seed, all under the same conditions.
 
     Raises:
         InputError: if a value is out of range, or if a named method is not in the experiment.
@@ -190,7 +190,7 @@ def experiment_config(values: Mapping[str, Any]) -> Experiment:
     if not isinstance(methods, Mapping) or not methods:
         raise InputError("methods of the experiment must name the methods, such as `Uniform: {method: uniform}`")
     choices = {str(name): _choice(str(name), entry) for name, entry in methods.items()}
-    known = [entry.name for entry in fields(Experiment)] + ["envs"]
+    known = [one.name for one in fields(Experiment)] + ["envs"]
     for key in values:
         if key not in known:
             raise unknown_name("key of the experiment", str(key), known)

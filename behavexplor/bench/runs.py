@@ -226,7 +226,7 @@ class ExperimentRunner:
     """Executes the unfinished runs of an experiment.
 
     It executes `jobs` runs at a time; on a cluster, that is the number of nodes, or 0 for one for each core. Each run
-    has `workers` processes that execute its scenarios; with 0, its own process does.
+    has `workers` processes that execute its scenarios; with 0, its own process does. No `cluster` is this machine.
     """
 
     def __init__(self, runs: Sequence[PlannedRun], root: Path, jobs: int, workers: int, cluster: str = "") -> None:
@@ -282,7 +282,7 @@ class ExperimentRunner:
         while self._waiting and len(self._running) < at_a_time and not self.stopping:
             run = self._waiting.popleft()
             folder = folder_in(self._root, *run.folder.parts)
-            if self._cluster:  # the folder is made on a node, and comes here later
+            if self._cluster:  # its contents are made on a node, and come here later
                 remember(own_run(run.config, folder))
             request = campaign_request(run.config, folder, self._workers, remote=bool(self._cluster))
             self._running[executor.submit(RUN, request)] = run
@@ -324,7 +324,7 @@ class ExperimentRunner:
 def forecast(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: int) -> float:
     """Return the estimated time for the unfinished ones of these runs, `jobs` campaigns at a time [s].
 
-    The estimate uses the measured time per execution of finished campaigns with the same environment, ADS and method.
+    The estimate uses the measured time per execution of stored campaigns with the same environment, ADS and method.
     Without such a campaign, a few executions are timed now, and the time of the search method itself is left out.
 
     Raises:

@@ -286,7 +286,7 @@ class Correlation(NamedTuple):
 
 
 def correlation(mutants: Iterable[Mutant], *, passed: bool = False) -> Correlation | None:
-    """Return the correlation of degree and distance; None for too few mutants, or if one of them does not vary.
+    """Return the correlation of degree and distance; None if one of them does not vary or there are too few mutants.
 
     With `passed`, only mutants that did not fail count. A failing run ends early at a collision or late at a
     standstill, so that its length makes it far from other behaviors, and its violation makes its degree low.

@@ -111,10 +111,10 @@ def n_weaknesses(summary: Summary) -> int:
 def shown(value: Value, column: Column) -> str:
     """Return a value as text for display."""
     if isinstance(value, Estimate):
-        mean = f"{value.mean:.{column.digits}f}"
+        middle = f"{value.mean:.{column.digits}f}"
         if not column.interval or math.isnan(value.low):
-            return mean
-        return f"{mean} [{value.low:.{column.digits}f}, {value.high:.{column.digits}f}]"
+            return middle
+        return f"{middle} [{value.low:.{column.digits}f}, {value.high:.{column.digits}f}]"
     if isinstance(value, float):
         return f"{value:.{column.digits}f}"
     return "" if value is None else str(value)
@@ -139,7 +139,7 @@ def marked(table: Table) -> set[tuple[int, int]]:
                 if isinstance(value := table.rows[row][index], Estimate)
             }
             if len(set(means.values())) > 1:
-                found |= {(row, index) for row, mean in means.items() if mean == max(means.values())}
+                found |= {(row, index) for row, rounded in means.items() if rounded == max(means.values())}
     return found
 
 

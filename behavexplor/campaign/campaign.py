@@ -64,10 +64,10 @@ class _Pending:
     """A candidate whose result the method has not been told."""
 
     candidate: Candidate
-    result: Future[bytes] | Execution
+    result: Future[bytes] | Execution  # the future trace as bytes, or the stored execution
     scenario: str = ""  # the scenario as JSON; empty if a judge draws it
     judging: Future[Judgment] | None = None  # in another process
-    judgment: Judgment | None = None
+    judgment: Judgment | None = None  # made early, while the oldest candidate was executed
 
     @property
     def is_executed(self) -> bool:
@@ -146,8 +146,8 @@ class Campaign:
     def drive_uniformly(self) -> None:
         """Find out how often the driver fails in scenarios that no search has chosen, once the campaign has ended.
 
-        The rate is noted in the store, unless it is known of as many scenarios, or the user stops the campaign. The
-        scenarios depend on the seed alone.
+        The rate is noted in the store, unless the campaign's own scenarios are uniform, it is known of as many already,
+        or the user stops the campaign. The scenarios depend on the seed alone.
 
         Raises:
             ExecutionError: if one could not be executed.

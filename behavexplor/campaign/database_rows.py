@@ -1,4 +1,4 @@
-"""The SQLite database of a run folder: its rows, and how a damaged one is read and rebuilt.
+"""The rows in the SQLite database of a run folder, and how a damaged database is read and rebuilt.
 
 Every row has two checksums, so that a record can be checked without its trace.
 """
@@ -247,7 +247,7 @@ def _free_name(path: Path) -> Path:
 
 
 def _checked(found: tuple[Any, ...]) -> Row:
-    """Return a row after checking its checksums."""
+    """Return a row after checking its checksums; raise `DamagedError` if one is wrong."""
     number, record, trace, elapsed, checksum, record_checksum = found
     if not isinstance(record, bytes) or not isinstance(trace, bytes | None) or not isinstance(elapsed, float):
         raise DamagedError("a value is of a wrong type")

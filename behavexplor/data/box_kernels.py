@@ -124,7 +124,7 @@ def fill_gaps_from_lines(
 
 @kernel_in_place
 def fill_changed_frames(position: Floats, heading: Floats, frames: Ints) -> int:
-    """Fill in, in order, the frames in which the first vehicle moves, and the first frame; return their number.
+    """Fill in, in order, the frames in which the first vehicle moves or turns, and the first one; return their number.
 
     Centers have the shape (T, N, 2) [m], headings (T, N) [rad], `frames` (T,).
     """

@@ -79,7 +79,7 @@ def append_durably(path: Path, content: bytes) -> None:
 def new_file(path: Path) -> Iterator[BufferedWriter]:
     """Open a new file, which is flushed to disk and takes the place of `path` when the block ends without an error.
 
-    A link in that place is replaced, and what it leads to is left as it is.
+    A link to a file, or to nothing, is replaced, and that file is left as it is.
 
     Raises:
         OSError: if the file cannot be written, or something other than a file is in its place.
@@ -121,7 +121,7 @@ def folder_in(folder: Path, *names: str) -> Path:
     """Return a folder, or the one inside it that the names lead to. All are created if they do not exist.
 
     Raises:
-        OSError: if it cannot be created, or is a symbolic link.
+        OSError: if one of them cannot be created, or one inside the first is a symbolic link.
     """
     check_no_file(folder)
     folder.mkdir(parents=True, exist_ok=True)

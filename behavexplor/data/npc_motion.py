@@ -122,7 +122,7 @@ def fill_frames(routes: Routes, route: int, phases: Floats, n_phases: int, time:
 
 @kernel_in_place
 def fill_phases(waypoints: Floats, phases: Floats) -> int:
-    """Fill in an NPC's phases of constant acceleration, and return their number. It stands in the last one.
+    """Fill in an NPC's phases of constant acceleration, and return their number. It stands still in the last one.
 
     A row of `phases`, of which there must be at least one more than waypoints, has the time at which the phase begins
     [s], the station [m] and speed [m/s] at that time, and the acceleration [m/s2]. Waypoints: see `waypoint_array`.

@@ -134,7 +134,7 @@ def shift_waypoints(npc: NPC, logical: ScriptedRanges, rng: np.random.Generator,
     A waypoint stays in its lane. Waypoints on one lane that overtook each other are sorted. Speeds stay in their range,
     and the last one stays 0.
     """
-    ranges, count = logical.ranges[npc.route], len(npc.waypoints)
+    ranges, count = logical.ranges[npc.route], len(npc.waypoints)  # the last range allows the speed 0 only
     change = rng.normal(0.0, (noise.sigma_position, noise.sigma_speed), (count, 2))
     change *= rng.random((count, 1)) >= noise.point_keep_probability
     positions, speeds = [], []
@@ -260,7 +260,7 @@ class ScriptedEncoding:
         if npc is None:
             raise InputError(f"{self.logical.name}: no place for {self.n_blocks} NPCs; use fewer")
         waypoints, ranges = list(npc.waypoints), self.logical.ranges[npc.route]
-        speeds = [*genes[START + self._n_waypoints :], 0.0]
+        speeds = [*genes[START + self._n_waypoints :], 0.0]  # as shares of the speed ranges
         for allowed, share, speed in zip(ranges[1:], genes[START + 1 :], speeds[1:], strict=False):  # used genes only
             waypoints.append(_waypoint(allowed, waypoints[-1].position, share, speed))
         return NPC(npc.type, npc.route, tuple(waypoints))
@@ -297,12 +297,12 @@ def _section(gene: float, count: int) -> int:
     return min(int(gene * count), count - 1)
 
 
-def _waypoint(allowed: WaypointRange, previous: float, share: float, speed: float) -> Waypoint:
+def _waypoint(allowed: WaypointRange, previous: float, share: float, speed_share: float) -> Waypoint:
     """Return the waypoint at shares of its range behind the previous position, and of its speed range."""
     low = max(allowed.start, previous)
     position = round(low + share * (allowed.end - low), _DIGITS)
-    fast = allowed.slowest + speed * (allowed.fastest - allowed.slowest)
-    rounded = round(fast * 10**_DIGITS) / 10**_DIGITS  # as numpy rounds
+    speed = allowed.slowest + speed_share * (allowed.fastest - allowed.slowest)
+    rounded = round(speed * 10**_DIGITS) / 10**_DIGITS  # as numpy rounds
     return Waypoint(min(max(position, low), allowed.end), min(max(rounded, allowed.slowest), allowed.fastest))
 
 
@@ -320,7 +320,7 @@ def part_of(npc: NPC, ranges: ScriptedRanges) -> Part:
 
     A plain vehicle is a sedan that drives at the speed limit from the middle of its first lane to the end of its route.
     The speed of a waypoint is plain if it is that of the waypoint before. Its position is plain if it is in the middle
-    of the lane, or at the waypoint before if that is farther on.
+    of the lane, or at the waypoint before if that is farther on. Plain values are left out: they are None in the part.
     """
     positions, speeds = [], []
     before = Waypoint(0.0, ranges.speed_range[1])

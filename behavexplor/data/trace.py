@@ -87,7 +87,7 @@ class Trace:
             is none, or if the vehicles' boxes tell.
 
     Raises:
-        InputError: if the shape or a value of a field is wrong; the message names the field.
+        InputError: if the shape or a value of a field is wrong, which the message names, or the trace is too large.
     """
 
     time: Floats

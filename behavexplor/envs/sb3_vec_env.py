@@ -318,9 +318,9 @@ def _config_text(env: Any) -> str:
 def _program(make: Any) -> tuple[Any, ...]:
     """Return the code of a function and the identities of the variables and defaults that it uses."""
     cells = getattr(make, "__closure__", None) or ()
-    defaults = getattr(make, "__defaults__", None) or ()
+    defaults = (*(getattr(make, "__defaults__", None) or ()), *(getattr(make, "__kwdefaults__", None) or {}).values())
     # Functions of the same code on the same objects do the same. With other objects, environments are compared.
-    return getattr(make, "__code__", make), tuple(map(id, (*cells, *defaults)))
+    return getattr(make, "__code__", make), tuple(map(id, (*cells, *defaults, getattr(make, "__self__", None))))
 
 
 def _wrappers(env: gymnasium.Env[Any, Any]) -> list[gymnasium.Wrapper[Any, Any, Any, Any]]:

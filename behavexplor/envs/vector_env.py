@@ -82,8 +82,8 @@ class DrivingVectorEnv(LockStepVectorEnv):
         self._observations = self._episodes.observations
         self.scenarios: list[ScriptedScenario] = [ScriptedScenario(self.logical.name, ())] * num_envs
         self._generators: list[np.random.Generator | None] = [None] * num_envs
-        self._terms: Floats | None = None  # of the latest decision
-        self._n_ended = 0  # episodes, with the latest decision
+        self._terms: Floats | None = None  # of the rewards of the latest decision; None if none are computed
+        self._n_ended = 0  # number of episodes that ended with the latest decision
         self.gives_rewards = self.checks_actions = True
         self.short_traces = False
 
@@ -134,7 +134,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
         return infos
 
     def _end_infos(self, done: Bools) -> dict[str, Any]:
-        """Return what infos have besides for episodes that have just ended; nothing if there are none."""
+        """Return the further infos of episodes that have just ended; nothing if there are none."""
         if not done.any():
             return {}
         ends, traces = np.full((2, self.num_envs), None, dtype=object)

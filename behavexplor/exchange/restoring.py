@@ -28,14 +28,14 @@ _SAME: Final = 0.01  # greatest deviation of a place or size that counts as the 
 
 
 def restored(scene: SceneFile, logical: LogicalScenario) -> Scenario:
-    """Return the scenario of a scene, which is one of those of its environment, `logical`.
+    """Return the scenario of a scene. `logical` has the scenarios of the scene's environment.
 
     The script of a vehicle counts. If its motion was changed by hand, or it has no script, one is fitted to its motion.
 
     Raises:
         InputError: if the scene cannot be taken; the message names what is wrong.
     """
-    if logical.has_original:
+    if logical.has_original:  # it is that of a highway-env environment
         return _drawn(scene, logical)
     ranges = scripted(logical, "A scene")
     _check_ego(scene.movers[0], ranges)
@@ -119,7 +119,7 @@ def fitted_script(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
     """Return the script whose motion comes closest to a trajectory that begins at time 0.
 
     Raises:
-        InputError: if no script comes within `MAX_DEVIATION` of it.
+        InputError: if no script comes within `MAX_DEVIATION` of it, or drives along it in its direction.
     """
     route, stations = _nearest_route(mover, ranges.roadmap)
     waypoints = _fitted(route, mover.time, stations, ranges)

@@ -21,7 +21,7 @@ from behavexplor.exchange import axes, scenes
 from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest, scenario_digest
 from behavexplor.exchange.xml_files import Element, read_xml
 
-_CHILDREN: Final = {
+_CHILDREN: Final = {  # the elements that a scene may have, by the element that contains them
     "OpenSCENARIO": "FileHeader ParameterDeclarations CatalogLocations RoadNetwork Entities Storyboard",
     "FileHeader": "License Properties",
     "Properties": "Property",

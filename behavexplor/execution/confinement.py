@@ -58,7 +58,7 @@ def confine() -> tuple[str, ...]:
 
 
 def _seal_files() -> bool:
-    """Block writing files and opening devices, and from Linux 6.12 on outside signals; return whether files are."""
+    """Block writing files, opening devices, and signals to outside from Linux 6.12 on. Return if writing is blocked."""
     try:
         from landlockpy import AccessFS, LandlockError, Ruleset, Scope, abi_version  # noqa: PLC0415 - Linux only
     except ModuleNotFoundError:
@@ -82,7 +82,7 @@ def _seal_files() -> bool:
 
 
 def _seal_calls() -> bool:
-    """Block new sockets, input into terminals, and what concerns other processes. Return whether all is blocked."""
+    """Block the calls named above: on sockets, attributes, processes and terminals. Return whether all are blocked."""
     try:
         import termios  # noqa: PLC0415 - not on Windows
 

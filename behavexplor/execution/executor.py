@@ -56,8 +56,8 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-# It raised an exception, its answer is not a valid action, it called `sys.exit`, it ran out of memory, it did not
-# answer in time, or its process died.
+# raised: it raised an exception; invalid: its answer is not a valid action; exit: it called `sys.exit`;
+# memory: it ran out of memory; hang: it did not answer in time; crash: its process died
 ADS_FAILURES: Final = ("raised", "invalid", "exit", "memory", "hang", "crash")
 
 
@@ -72,7 +72,7 @@ class ADSError(Exception):
 
 
 def in_order(executor: Executor, calls: Iterable[tuple[str, bytes]], ahead: int) -> Iterator["Future[bytes]"]:
-    """Call functions with their arguments, and yield the finished calls in order; `ahead` are under way behind each."""
+    """Call functions with their arguments, and yield the futures in order, with at most `ahead` calls behind each."""
     pending: deque[Future[bytes]] = deque()
     for function, data in calls:
         pending.append(executor.submit(function, data))

@@ -109,7 +109,7 @@ def answered_error(answer: bytes) -> Exception | None:
         return None
     if tag not in (ADS_FAILED, REFUSED, FAILED):
         raise ValueError("an unknown tag")
-    text = content[:MOST_ERROR].decode()
+    text = content[:MOST_ERROR].decode(errors="replace")  # it may end within a character
     return _ads_error(text) if tag == ADS_FAILED else (InputError if tag == REFUSED else RuntimeError)(text)
 
 

@@ -228,7 +228,7 @@ class WorkerPool(Executor):
             try:
                 for answer in answers_in(message):
                     self._take(worker, *answer)
-            except (KeyError, ValueError):  # the ADS has written to the pipe
+            except (KeyError, ValueError, RecursionError):  # the ADS has written to the pipe
                 self._lost(worker, "crash", "its process sent what is no answer")
         elif time.monotonic() > worker.deadline:
             self._lost(worker, "hang", f"no answer within {worker.patience:g} s")

@@ -189,8 +189,8 @@ def _constant(simulation: Simulation, actions: list[NDArray[Any]]) -> str | None
     env = getattr(simulation.env.unwrapped, "inner", simulation.env.unwrapped)
     names = getattr(getattr(env, "action_type", None), "actions", None)
     choice = names[int(stacked[0])] if isinstance(names, Mapping) and stacked[0].ndim == 0 else stacked[0]
-    is_drawn = "" if simulation.stochastic or not getattr(simulation.ads, "noise", 0) else _WITH_DRAWS
-    return f"The driver always chooses {choice} ({len(stacked)} decisions in {SCENARIOS} scenarios){is_drawn}"
+    advice = "" if simulation.stochastic or not getattr(simulation.ads, "noise", 0) else _WITH_DRAWS
+    return f"The driver always chooses {choice} ({len(stacked)} decisions in {SCENARIOS} scenarios){advice}"
 
 
 def _motionless(traces: list[Trace]) -> str | None:

@@ -46,9 +46,9 @@ def ask(
 ) -> tuple[NDArray[Any], Any]:
     """Call an ADS, and return its actions, shape (B, ...), and its state; every failure becomes an `ADSError`.
 
-    An observation has a row for each of B sub-environments with this action space. The state is that of the previous
-    call. `start` is True where an episode begins, and `counts` for each row whose action is used, shapes (B,); None if
-    all are.
+    `observation` has a row for each of B sub-environments, whose action space is `space`. `state` is that of the last
+    call. `start`, shape (B,), is True where an episode begins, and `counts`, shape (B,), for each row whose action is
+    used; `counts` is None if all are used.
 
     Raises:
         ADSError: if the ADS fails, or its answer is not a valid action.
@@ -231,7 +231,7 @@ class LockStep:
         return self.free < len(self._running)
 
     def begin(self, key: Any, scenario: Scenario) -> None:
-        """Add an episode, which begins with the next call of `step`, and which `step` calls by its key.
+        """Add an episode, which begins with the next call of `step`. There, it is identified by the key.
 
         One of the sub-environments must be free.
         """

@@ -282,7 +282,7 @@ def _where_it_fits(ads: Any) -> str:
 def seen_in(env: str, ads: Any, config: Mapping[str, Any]) -> tuple[Any, bool]:
     """Return a driver as it sees an environment, and whether it fits its spaces.
 
-    The configuration is that of the environment, as far as the driver does not declare it.
+    The configuration is that of the environment, and replaces what the driver declares.
 
     Raises:
         InputError: if the environment cannot be configured so, or the driver cannot see it.

@@ -33,7 +33,7 @@ def start_executor(
     `workers` is the greatest number of worker processes, or the number of nodes of a cluster. 0 means this process,
     without limits of time and memory, or on a cluster one node for each core. For the name of a cluster, see
     `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine. A `driver` that exists in this process
-    only drives in place of the driving system of that name, without workers.
+    only, named by `target.ads`, drives here: `workers` and `cluster` are then ignored.
 
     Raises:
         InputError: if the environment, the ADS or the cluster cannot be used, or if an ADS that must be confined
@@ -114,7 +114,7 @@ def check_ads(executor: Executor, meanwhile: Callable[[], None] = lambda: None) 
 
 
 class InProcessExecutor(Executor):
-    """Calls the functions of a service in this process. The `begin` of the service has been called."""
+    """Calls the functions of a service that has begun in this process, the `batched` one in batches; see `Recipe`."""
 
     runs_here = True
 

@@ -40,7 +40,7 @@ class AVFuzzerOptions:
     mutation_probability: Annotated[float, between(0.01, 1)] = 0.4  # that one property of one NPC changes
     patience: Annotated[int, between(1)] = 5  # generations in a row without a better best before a restart
     restart_samples: int = 1000  # scenarios drawn at a restart; those farthest from all earlier ones are kept
-    local_after: Annotated[int, between(0)] = 2  # generations since a start before the local fuzzer may begin
+    local_after: Annotated[int, between(0)] = 2  # generations since start or restart before the local fuzzer may begin
     local_generations: Annotated[int, between(1)] = 5  # number of generations of the local fuzzer
     local_factor: Annotated[float, between(0)] = 1.5  # factor on the mutation probability in the local fuzzer
 

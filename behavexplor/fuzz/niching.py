@@ -61,7 +61,7 @@ class Niching:
         self._asker = Asker(logical, seed)
         self._seen: Counter[object] = Counter()  # executions by niche
         self._parents: list[_Parent] = []
-        self._drawn, self._drawn_failed = 0, 0  # uniform scenarios that have been executed
+        self._drawn, self._drawn_failed = 0, 0  # executed uniform scenarios, and how many of them failed
 
     def ask(self) -> Candidate:
         """Return uniform scenarios at first, then children and a share of uniform ones."""
@@ -73,7 +73,7 @@ class Niching:
         return self._asker.candidate(self._child(parent.vector, rng), rng, CHILD, parent.number)
 
     def _uniform_share(self) -> float:
-        """Return the share of uniform scenarios after the first ones."""
+        """Return the share of uniform scenarios after the first ones: no less than the rate of failures among them."""
         return max(self._options.uniform, self._drawn_failed / max(self._drawn, 1))
 
     def _child(self, parent: Floats, rng: np.random.Generator) -> Floats:

@@ -59,8 +59,8 @@ def contact_fault(trace: Trace) -> Fault | None:
 
     The verdicts are checked in this order:
 
-    - `ego_cut_in`: a faster vehicle hit the ego from behind while it changed lanes or entered a roundabout, or at most
-      `CUT_IN_TIME` later. This is the ego's fault.
+    - `ego_cut_in`: a faster vehicle hit the ego from behind while the ego changed lanes or entered a roundabout, or at
+      most `CUT_IN_TIME` later. This is the ego's fault.
     - `npc_rear_end`: a faster vehicle with about the same heading hit the ego from behind.
     - `struck_stationary`: the ego was standing.
     - `npc_wreck`: the vehicle that the ego touches had crashed before.

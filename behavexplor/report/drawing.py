@@ -107,8 +107,8 @@ def save_animation(file: Path | IO[bytes], footage: Footage) -> None:
     palette = _palette(pictures)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     times = [int(FRAME_TIME * 1000)] * (len(pictures) - 1) + [2000]
-    settings = {"save_all": True, "append_images": pictures[1:], "duration": times, "loop": 0}
-    pictures[0].save(file, "GIF", **settings, optimize=False)  # larger, but in half of the time
+    # `optimize=False`: the file is larger, but it is written in half of the time
+    pictures[0].save(file, "GIF", save_all=True, append_images=pictures[1:], duration=times, loop=0, optimize=False)
 
 
 def _most_pictures(footage: Footage) -> int:
@@ -141,12 +141,12 @@ def draw(footage: Footage, frame: int) -> Image.Image:
     boxes = box_corners(trace.position[frame], trace.heading[frame], trace.size)
     present = trace.present if trace.present.size else np.broadcast_to(np.True_, trace.heading.shape)
     drawn = _nearest(trace.position[frame], present[frame])
-    points = _PATH_POINTS // (len(drawn) + 1)
-    left = _thinned(np.arange(frame, len(trace.time)), points)
+    most = _PATH_POINTS // (len(drawn) + 1)  # points of each path
+    later = _thinned(np.arange(frame, len(trace.time)), most)
     for npc in drawn:
-        canvas.path(trace.position[left, npc][present[left, npc]], footage.color(npc), 0.15)
+        canvas.path(trace.position[later, npc][present[later, npc]], footage.color(npc), 0.15)
         canvas.vehicle(boxes[npc], footage.color(npc), colors["edge"])
-    canvas.path(trace.position[_thinned(np.arange(frame + 1), points), 0], footage.color(0), 0.15)
+    canvas.path(trace.position[_thinned(np.arange(frame + 1), most), 0], footage.color(0), 0.15)
     canvas.vehicle(boxes[0], footage.color(0), colors["accent"])
     if footage.event is not None and frame >= footage.event.frame:
         canvas.circle(np.array(violation_place(trace, footage.event)), 2.2, colors["hit"], 0.4)
@@ -174,7 +174,7 @@ class _Canvas:
 
     def __init__(self, middle: Floats, height: int) -> None:
         self._scale, self._size = SIDE * _SHARPNESS / VIEW, (SIDE, height)
-        self._view = np.array(self._size) * VIEW / SIDE
+        self._view = np.array(self._size) * VIEW / SIDE  # width and height of what is shown [m]
         self._origin = middle - self._view / 2
         self._colors = page_colors()
         self._image = Image.new("RGB", (SIDE * _SHARPNESS, height * _SHARPNESS), self._colors["ground"])

@@ -47,7 +47,7 @@ def experiment_page(
 ) -> str:
     """Return the page in ASCII. Equal experiments give equal pages.
 
-    `summaries` are those of the finished campaigns, `tables` and `curves` what `behavexplor.bench` makes of them.
+    `summaries`: of the finished campaigns; `tables`, `curves`: theirs, from `bench.tables` and `bench.comparisons`.
     """
     return rendered(
         "experiment.html.jinja",

@@ -135,7 +135,7 @@ def minimal_name(number: int) -> str:
 def cards(run: ReportedRun, limit: int) -> tuple[Card, ...]:
     """Return the cards of a run: its classes, the largest first, then the executions that passed most narrowly.
 
-    Together, they have up to `limit` replays. Each class gets one replay before any class gets two.
+    Together, they have up to `limit` replays and the minimal ones. Each class gets one before any class gets two.
     """
     classes = run.classes
     found = [_card(class_id, findings, run.examined) for class_id, findings in classes.items()]
@@ -193,7 +193,7 @@ def _nearest(run: ReportedRun) -> Card | None:
 
 
 def replay_values(trace: Trace, record: Record, states: Sequence[tuple[str, int]]) -> dict[str, Any]:
-    """Return a replay as JSON values. `states` is its abstract trace, see `Behaviors.stretches`.
+    """Return a replay as JSON values. `states` is its abstract trace, see `behavior_map.Behaviors.stretches`.
 
     Raises:
         InputError: if the record holds no valid scenario.

@@ -58,7 +58,7 @@ class OtherDrivers(NamedTuple):
 class ScriptedDriver:
     """A driver of B egos that takes actions from a table.
 
-    The table has the shape (B, D). After the last action, it is taken again and again.
+    The table has actions by ego and decision, shape (B, D). After the last one, it is taken again and again.
     """
 
     vectorized: bool = True

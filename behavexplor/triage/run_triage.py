@@ -77,7 +77,7 @@ class RunTriage:
                 raise InputError(f"The run folder {self._run} cannot be written: {error.strerror}") from None
 
     def _examine(self, store: Store, observe: Callable[[int], None]) -> Triage:
-        folder_in(self._run, WITNESSES)
+        folder_in(self._run, WITNESSES)  # creates it
         missing = unconfirmed(self._config, self._run, store.records())
         tasks = len(self.waiting) or len(missing)
         if not tasks:

@@ -123,6 +123,12 @@ class Nested(Lying):
     answers = (ADS_FAILED + b'["kind"]',)
 
 
+class Deep(Lying):
+    """Nests its answer more deeply than anything that Python reads."""
+
+    answers = (ADS_FAILED + b"[" * 99_999,)
+
+
 class Forking(Driver):
     def act(self):
         os.fork()
@@ -160,6 +166,7 @@ def records(name, folder, **settings):
         ("Forged", "crash", "its process sent what is no"),  # trace, if it guessed the key of a call, or answer
         ("Failing", "crash", "its process sent what is no answer"),
         ("Nested", "crash", "its process sent what is no answer"),
+        ("Deep", "crash", "its process sent what is no answer"),
     ],
 )
 def test_what_a_driver_does_to_its_process_is_its_failure(name, kind, words, tmp_path):

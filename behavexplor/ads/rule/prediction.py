@@ -207,7 +207,7 @@ def _offset(path: Path, lanes: Floats, lane: int, station: float) -> tuple[float
 def is_beside(place: Floats, profile: LateralProfile, length: float, width: float, strip: float) -> bool:
     """Return whether a vehicle at a place of `beside_route`, shape (3,), is surely beside the strip along the path.
 
-    Length and width are those of the vehicle [m], and `strip` is half the width of the strip [m].
+    Length and width are the vehicle's [m]. The profile is as in `box_on_path`, and `strip` half the strip's width [m].
     """
     needed = strip + (length * place[SKEW] + width) / 2 + (SLACK if profile.length > 0.0 else 0.0)
     away = max(place[LEAST] - max(profile.first, profile.last), min(profile.first, profile.last) - place[GREATEST])

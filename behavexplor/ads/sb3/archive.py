@@ -64,7 +64,7 @@ class Archive:
     weights: bytes  # contents of the member `policy.pth`
     optimizer: bytes | None  # contents of the member `policy.optimizer.pth`; None if there is none
     python: str  # version of Python that wrote the file, such as "3.10"; empty if the file does not say so
-    versions: tuple[str, ...]  # those of the libraries that wrote it, such as "PyTorch 2.3.0"
+    versions: tuple[str, ...]  # those of Python and of the libraries that wrote it, such as "PyTorch 2.3.0"
     # calls that loading the file with Stable-Baselines3 would make and that models do not need, and pickles that could
     # not be examined, each as a phrase that names the place
     suspicions: tuple[str, ...]

@@ -1,8 +1,8 @@
 """Evaluation of a network for any number of observations, so that no answer depends on the size of the batch.
 
 On a CPU, the last bits of a function of many numbers depend on their count, and on the position of a number among them.
-So a network always receives blocks of the same number of rows, padded with zeros, and its linear layers multiply each
-row separately. A network with other layers, or with code from elsewhere, receives one row at a time.
+So a network always receives blocks of equally many rows, padded with zeros, and linear layers multiply rows separately.
+With other layers or foreign code, it gets one row at a time. `DenseActor` is a shortcut, and `drawn_by` draws actions.
 """
 
 from collections.abc import Callable, Iterator, Sequence

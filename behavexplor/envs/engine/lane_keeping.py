@@ -32,7 +32,7 @@ KP_LATERAL: Final = float(ControlledVehicle.KP_LATERAL)  # [1/s]
 PURSUIT_TIME: Final = float(ControlledVehicle.TAU_PURSUIT)  # [s]
 MAX_STEERING: Final = float(ControlledVehicle.MAX_STEERING_ANGLE)  # [rad]
 SLOWEST: Final = 1e-2  # least speed in a denominator [m/s]
-_SAME_NUMBER: Final = int64(SAME_NUMBER)  # as an argument of a kernel
+_SAME_NUMBER: Final = int64(SAME_NUMBER)  # as an argument of a kernel; see `behavexplor.jit.int64`
 
 
 @kernel_inner

@@ -110,7 +110,7 @@ def make_network(
     geometry is the same.
 
     Raises:
-        InputError: if a lane is neither straight nor a sine nor an arc.
+        InputError: if a lane is neither straight nor a sine nor an arc, or its class replaces methods of these.
     """
     roads = list(_roads(network))
     numbers = road_numbers(network)

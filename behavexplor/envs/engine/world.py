@@ -50,7 +50,7 @@ RULES: Final = record_type(
     policy_period=np.float64,  # duration of a decision [s]
     regulation_period=np.int64,  # frames from one check of the right of way to the next; 0: none
 )
-FIRST_LANE: Final = int64(0)
+FIRST_LANE: Final = int64(0)  # this and the next two: arguments of kernels; see `behavexplor.jit.int64`
 AS_EGO: Final = int64(EGO)
 AS_OTHER: Final = int64(OTHER)
 _GAINS: tuple[tuple[float, ...], ...] = tuple(

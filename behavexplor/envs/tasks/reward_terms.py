@@ -19,7 +19,7 @@ SPEED: Final = 0  # the ego's speed as a share of `reward_speed_range`, clipped 
 SPEED_AHEAD: Final = 1  # the same of its speed along the x axis
 FREE_SPEED: Final = 2  # the same of its speed, not clipped
 SPEED_CHOICE: Final = 3  # the index of its target speed as a share of those of the actions
-DEFAULT_SPEED_CHOICE: Final = 4  # the same of highway-env's default target speeds
+DEFAULT_SPEED_CHOICE: Final = 4  # the same of highway-env's default speeds; without a target, the nearest to its speed
 LANE: Final = 5  # the number of its lane as a share of those of its road
 TARGET_LANE: Final = 6  # the same of the lane to which it changes
 LANE_NUMBER: Final = 7  # the number of its lane
@@ -40,7 +40,7 @@ _DEFAULT_SPEEDS: Floats = MDPVehicle.DEFAULT_TARGET_SPEEDS.astype(np.float64)
 def put_terms(world: World, rules: Any, terms: Records, scene: Scene, changes_lane: bool, values: Floats) -> None:
     """Compute the terms of the reward into `values`, shape (terms,).
 
-    `changes_lane` says whether the action is a change of lane.
+    `rules` is a `TASK` record. `changes_lane` says whether highway-env takes the action for a change of lane.
     """
     for k in range(len(terms)):
         values[k] = _value(world, rules, terms[k].code, scene, changes_lane)

@@ -26,7 +26,7 @@ POSE: Final = record_type(  # of the ego in a frame
     vx=np.float64,  # [m/s]
     vy=np.float64,
 )
-WEIGHTS: Mapping[str, float] = MappingProxyType(
+WEIGHTS: Mapping[str, float] = MappingProxyType(  # the default of `config["reward"]`
     {
         "progress": 0.1,
         "step": -0.02,
@@ -99,9 +99,9 @@ def fill_record(
 ) -> bool:
     """Fill in the motion of all vehicles, the ego first, in multiples of the resolution of traces.
 
-    The motion table has the shape (T, n_npcs, 5), and `directions` the cosine and sine of the NPCs' headings, (2, T,
-    n_npcs). Position and velocity, shape (T, 1 + n_npcs, 2), and heading, (T, 1 + n_npcs), are filled. Return whether
-    the ego's motion is finite.
+    `ego` has the shape (T,) of `POSE`, the motion table (T, n_npcs, 5), and `directions`, the cosine and sine of the
+    NPCs' headings, (2, T, n_npcs). Position and velocity, shape (T, 1 + n_npcs, 2), and heading, (T, 1 + n_npcs), are
+    filled. Return whether the ego's motion is finite.
     """
     is_finite = True
     for t in range(len(ego)):
@@ -129,7 +129,7 @@ def _rounded(value: float, step: float) -> float:
 def reward_terms(weights: Mapping[str, float], runs: Records, active: Bools) -> Floats:
     """Compute the terms of the reward of the latest decision, in the order of `TERMS`, shape (8, B).
 
-    They are 0 in inactive slots. Their sum is the reward.
+    They are 0 in slots that were not stepped, where `active`, shape (B,), is false. Their sum is the reward.
     """
     terms = np.zeros((len(TERMS), len(active)))
     _fill_terms(np.array([weights[name] for name in TERMS]), runs, active, terms)

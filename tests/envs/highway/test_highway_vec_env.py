@@ -107,10 +107,22 @@ def made(duration=3):
     return gymnasium.make("highway-fast-v0", config={"vehicles_count": 6, "duration": duration})
 
 
+class Maker:
+    """Makes environments of a duration."""
+
+    def __init__(self, duration):
+        self.duration = duration
+
+    def make(self):
+        return made(self.duration)
+
+
 @pytest.mark.parametrize(
     "makers",
     [
         [lambda d=d: made(d) for d in (3, 8)],
+        [lambda *, d=d: made(d) for d in (3, 8)],
+        [Maker(d).make for d in (3, 8)],
         [made, lambda: gymnasium.make("merge-v1")],
         [lambda: made(), lambda: made(), lambda: made(4)],  # noqa: PLW0108 - functions of their own
     ],
