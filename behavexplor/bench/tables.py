@@ -36,7 +36,7 @@ RARITY: Final = (
 
 def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
     """Return the tables of an experiment that have rows; the summaries are those of its finished campaigns."""
-    made = [violations("violations", "Violations found", experiment, summaries, ())]
+    made = [violations("violations", "Violations found", experiment, summaries, ())]  # of all methods
     cut = in_equal_time(experiment, summaries)
     if cut:
         made.append(violations_in_equal_time(experiment, cut))

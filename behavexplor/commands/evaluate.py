@@ -52,7 +52,7 @@ _SETTINGS = settings(
     CampaignConfig,
     "env ads activation env_config seed traffic stochastic trust unconfined",
     box="driver",
-    env=(f"the policy's own, or {CampaignConfig.env}", ""),  # default in the help text, and what it adds
+    env=(f"the policy's own, or {CampaignConfig.env}", ""),  # default that --help shows, and text after the description
     stochastic=(False, " By default, the rates with drawn actions are shown, too."),
 )
 

@@ -24,7 +24,7 @@ from behavexplor.repair.retraining_rounds import CONFIG, DivergedError, Retraini
 _SETTINGS = settings(
     RetrainingConfig,
     "env env_config traffic pool share rounds steps envs rate method budget validation seed",
-    env=(f"the policy's own, or {CampaignConfig.env}", ""),  # default in the help text, and what it adds
+    env=(f"the policy's own, or {CampaignConfig.env}", ""),  # default that --help shows, and text after the description
     envs=("the model's, or 64", ""),
     rate=("the model's, or 2.5e-4", ""),
 )

@@ -60,7 +60,7 @@ def kind_of(cls: type[RoadObject]) -> int:
         if computed is None and issubclass(cls, known) and replaced(cls, known, _CHANGEABLE) is None:
             return kind
     parent = next((parent for parent in cls.__mro__ if parent in _CLASSES.values()), cls)
-    reason = computed or replaced(cls, parent, _CHANGEABLE) or "its class"
+    reason = computed or replaced(cls, parent, _CHANGEABLE) or "its class"  # the last one if no parent is known
     names = ", ".join(known.__name__ for known in _CLASSES.values())
     raise InputError(
         f"The compiled engine does not know how a {cls.__name__} drives, because of {reason}; it knows {names} and "

@@ -36,9 +36,9 @@ class ScriptedEpisodes:
         rules = self.world.rules[0]
         n_frames = int(np.ceil(rules.max_frames)) + 1
         self._time = np.arange(n_frames) / env.config["simulation_frequency"]
-        self._substeps = int(rules.substeps)
+        self._substeps, n_decisions = int(rules.substeps), -(-n_frames // int(rules.substeps))
         self._n_values = int(np.prod(env.action_space.shape or ()))  # of an action
-        self.slots = make_slots(n_slots, n_frames, (-(-n_frames // self._substeps), self._n_values), self.logical)
+        self.slots = make_slots(n_slots, n_frames, (n_decisions, self._n_values), self.logical)
         self._n_waypoints = self.slots.phases.shape[2] - 1
         self._commands = make_commands(env.action_type)
         self._weights = env.config["reward"]
@@ -144,7 +144,8 @@ class ScriptedEpisodes:
         mask, ends = np.zeros(n_slots, dtype=bool), np.zeros((2, n_slots), dtype=bool)
         self._step_slots: Any = compiled_for(step, self.world, self.slots, values, commands, mask, ends, WHOLE)
         if self.observes:
-            observe: Any = observe_scene if len(self._observe_arguments) == 1 else observe_kinematics
+            is_scene = len(self._observe_arguments) == 1  # see `_arguments_for`
+            observe: Any = observe_scene if is_scene else observe_kinematics
             self._observe_slots: Any = compiled_for(observe, *self._observe_arguments, mask, self.observations)
         npcs = npc_arrays([], self.logical.roadmap, self._n_waypoints)
         self._begin_slots = compiled_for(begin_episodes, self.world, self.slots, np.flatnonzero(mask), *npcs)
