@@ -20,7 +20,7 @@ from behavexplor.commands import BAD_INPUT, main
 from behavexplor.commands.shared_flags import WAITING
 from tests.campaign.test_store import execution
 
-SECONDS = 60  # for one input; a busy machine takes a third of it to make all environments of highway-env
+SECONDS = 20  # for one input
 GIBIBYTES = 6  # that this process may have
 LONGEST = 1000  # characters of a sentence
 

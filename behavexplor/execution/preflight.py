@@ -84,8 +84,8 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
 
     Findings are that the ADS sees observations flattened or stacked, fails, always gives the same answer, never moves,
     was trained with masks of actions, or on a different kind of observations. The last happens when its `VecNormalize`
-    statistics are missing. Further, that a scenario does not repeat, that the environment is not compiled, or that its
-    configuration is not known.
+    statistics are missing. Further, that a scenario does not repeat, alone or beside others, that the environment is
+    not compiled, or that its configuration is not known.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -111,7 +111,7 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
 
 
 def _traces(simulation: Simulation, ads: Any, scenarios: list[Scenario]) -> list[Trace]:
-    """Drive scenarios in the compiled form of the environment where there is one, together if the ADS allows that."""
+    """Return the traces of scenarios, in order, of the compiled environment if there is one; together if possible."""
     envs = simulation.compiled(len(scenarios))
     if envs is None:
         return [rollout(simulation.env, simulation.driver(1, ads), scenario) for scenario in scenarios]

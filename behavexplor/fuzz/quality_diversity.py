@@ -69,9 +69,9 @@ def check_measures(measures: Sequence[Measure]) -> None:
 
 @validated
 class VariationOptions:
-    """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1), by deviations."""
+    """Normal variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1)."""
 
-    iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05  # deviation of every gene's noise, as a share of its range
+    iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05  # standard deviation of a gene's noise, in shares of its range
     line_sigma: Annotated[float, between(0, 10)] = 0.2  # deviation of the step to the second, in shares of the distance
     # probability that an NPC stays as in the first elite. Noise on all NPCs at once would destroy most of what made the
     # elite good.

@@ -191,7 +191,7 @@ class SAMOTAOptions:
     # greatest number of executions that a global surrogate learns from; half of them are the best ones. It bounds the
     # cost of an execution, which grows with the cube of this number.
     database_limit: Annotated[int, between(10, 10_000)] = 300
-    local_share: Annotated[float, between(0.001, 1)] = 0.2  # share of executions, an objective's best, to start from
+    local_share: Annotated[float, between(0.001, 1)] = 0.2  # share of executions: the best of an objective
     local_limit: Annotated[int, between(10, 10_000)] = 100  # greatest number of these executions
     cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5  # least number of them in a cluster of a local search
     local_population: Annotated[int, between(2, MAX_POPULATION)] = 6  # individuals in a local generation
