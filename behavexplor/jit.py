@@ -40,7 +40,7 @@ _INSTALLATION = f"behavexplor-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest(
 # absolute import statements; relative ones are not followed
 _IMPORT = re.compile(r"^(?:from|import) ([.\w]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 _njit = cast("Any", numba.njit)  # its stubs leave some options out
-# For numbers that a kernel passes to another, which numba would compile once more for the type of a Python number.
+# Converts a number that a kernel passes to another. For a Python number, numba would compile that one once more.
 int64: Final = cast("Callable[[int], int]", np.int64)
 _COMPILING: Final = "Compiling to machine code; this takes some seconds, and the code is kept for next time ..."
 _COMPILING_SLOWLY: Final = (
@@ -201,7 +201,7 @@ class _Compilation(event.Listener):
         self._collected: list[bool] = []  # whether garbage was collected before each compilation that has not ended
 
     def on_start(self, event: event.Event) -> None:
-        """Note that a function is about to be compiled. Numba does not call this for cached functions."""
+        """Report the first compilation, and put off garbage collection. Numba does not call this for cached code."""
         self._collected.append(gc.isenabled())
         if not event.data["dispatcher"].py_func.__module__.startswith(__package__):
             return
@@ -211,7 +211,7 @@ class _Compilation(event.Listener):
             logging.getLogger(__name__).warning(_COMPILING if IS_TESTED else _COMPILING_SLOWLY)
 
     def on_end(self, event: event.Event) -> None:  # noqa: ARG002 - as numba calls it
-        """Collect garbage as before the compilation that ends."""
+        """Enable garbage collection if it was enabled before the compilation that ends."""
         if self._collected.pop():
             gc.enable()
 

@@ -36,7 +36,7 @@ from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MOST_ENVS
-from behavexplor.data.durable import check_file, folder_in, new_file, write_durably
+from behavexplor.data.durable import check_file, folder_in, new_file, write_durably, writing
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import between, validated
 from behavexplor.envs.making import environment_id
@@ -228,13 +228,11 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
     model = new_model(TrainingConfig(env=env, envs=1, layers=layers), venv)
     load_layers(model, network.layers)
     venv.close()
-    try:
+    with writing(path):
         folder_in(path.parent)  # makes it
         with new_file(path) as file:
             model.save(file)
         write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": env, "decision": network.rule}))
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def new_model(config: TrainingConfig, venv: LearningVecEnv) -> OnPolicyAlgorithm:

@@ -87,6 +87,8 @@ def config_of(
     Raises:
         InputError: if a value cannot be used.
     """
+    if callable(specs) or isinstance(specs, str):
+        raise InputError(f"specs must be a list, such as [requirement], got {brief(specs)}")
     name, changes = environment_of(given.env_or_trained_in(env) or CampaignConfig.env)
     found = {"env": name, "ads": given.name, "specs": [_spec_name(spec) for spec in specs]}
     whole = {**found, "env_config": given_config(changes, env_config), **values}

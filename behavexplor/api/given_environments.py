@@ -57,9 +57,15 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
 
 
 def given_config(of_env: Mapping[str, Any] | None, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return what is known of a configuration from an environment object and what is given with it; None if nothing."""
+    """Return what is known of a configuration from an environment object and what is given with it; None if nothing.
+
+    Raises:
+        InputError: if what is given is no configuration.
+    """
     if of_env is None and given is None:
         return None
+    if not isinstance(given, Mapping | None):
+        raise InputError(f"env_config must be a mapping from keys to values, got {brief(given)}")
     return dict(json.loads(config_text({**(of_env or {}), **(given or {})})))
 
 

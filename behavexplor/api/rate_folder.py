@@ -18,12 +18,10 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import identity_of
 from behavexplor.campaign.store import Store
-from behavexplor.data.durable import folder_in, new_file, write_durably
-from behavexplor.data.road_shape import RoadShape
+from behavexplor.data.durable import folder_in, new_file, write_durably, writing
 from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import OF_EPISODES
 from behavexplor.data.trace import Trace
-from behavexplor.errors import InputError
 from behavexplor.evaluation import Evaluation, Observe, failing
 from behavexplor.fuzz.methods import GIVEN
 from behavexplor.judge.fault import is_at_fault, touched_npc
@@ -54,10 +52,8 @@ class RateFolder:
     """
 
     def __init__(self, path: Path, config: CampaignConfig) -> None:
-        try:
+        with writing(f"The folder {path}"):
             self.path = folder_in(path)
-        except OSError as error:
-            raise InputError(f"The folder {path} cannot be written: {error.strerror}") from None
         identity = identity_of(config)
         self._config = config
         self._driver = {"digests": dict(identity.digests), "libraries": dict(identity.libraries)}
@@ -129,13 +125,10 @@ class RateFolder:
         if hardest is None:
             return None
         execution, speed = hardest
-        footage = footage_of(execution, known_road(self._config.env, self.run) or RoadShape(()))
+        footage = footage_of(execution, known_road(self._config.env, self.run))
         picture = draw(footage, decisive_frame(footage.trace, footage.violated))
-        try:
-            with new_file(self.path / PICTURE) as file:
-                picture.save(file, "PNG")
-        except OSError as error:
-            raise InputError(f"The picture {self.path / PICTURE} cannot be written: {error.strerror}") from None
+        with writing(f"The picture {self.path / PICTURE}"), new_file(self.path / PICTURE) as file:
+            picture.save(file, "PNG")
         return {"execution": execution.id, "impact": round(speed, 2), "picture": PICTURE}
 
 

@@ -24,7 +24,7 @@ from behavexplor.campaign.record import Record
 from behavexplor.campaign.run_summary import RunSummary, by_class, summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.durable import new_file
+from behavexplor.data.durable import new_file, writing
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -122,14 +122,11 @@ class Replay:
         target = Path(path)
         if target.suffix not in _SUFFIXES:
             raise InputError(f"A replay is saved as {' or '.join(_SUFFIXES)}, not as {target.name!r}")
-        try:
-            with new_file(target) as file:
-                if target.suffix == ".gif":
-                    file.write(self.gif)
-                else:
-                    self.picture.save(file, "PNG")
-        except OSError as error:
-            raise InputError(f"The replay {target} cannot be written: {error.strerror}") from None
+        with writing(f"The replay {target}"), new_file(target) as file:
+            if target.suffix == ".gif":
+                file.write(self.gif)
+            else:
+                self.picture.save(file, "PNG")
         return target
 
     def _repr_html_(self) -> str:
@@ -234,7 +231,7 @@ class Run:
         Raises:
             InputError: if there is no execution of that number.
         """
-        return Replay(self._execution(number), known_road(self.config.env, self.folder) or RoadShape(()))
+        return Replay(self._execution(number), known_road(self.config.env, self.folder))
 
     def env(self, number: int, render_mode: str | None = None) -> Episode:
         """Return the environment of an execution, for a loop of your own: its `reset` begins the scenario.

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from behavexplor.bench.experiment import Experiment, slug
 from behavexplor.bench.statistics import LEVEL, Estimate, compare, compare_together, least_p
-from behavexplor.bench.summaries import Summary, all_classified, all_signed
+from behavexplor.bench.summaries import Summary, all_signed
 from behavexplor.bench.table import (
     Column,
     Figure,
@@ -26,7 +26,7 @@ from behavexplor.bench.table import (
 )
 from behavexplor.data.csv_text import csv_text
 
-_AT_FAULT: Final[tuple[str, str, Figure]] = ("at-fault", "failures at fault", Summary.at_fault)
+_AT_FAULT_CLASSES: Final = ("at-fault-classes", "classes of failures at fault", n_kinds_at_fault)
 UNDECIDED: Final = "undecided"
 POINTS: Final = 50  # approximate number of points of a curve
 _CURVE_COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", "low", "high")
@@ -54,11 +54,12 @@ def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Ta
 
 def compared_figures(summaries: Sequence[Summary]) -> list[tuple[str, str, Figure]]:
     """Return the figures in which methods are compared: their keys, their names, and the figures."""
-    figures = [_AT_FAULT]
-    if all_classified(summaries):
-        figures.append(("at-fault-classes", "classes of failures at fault", n_kinds_at_fault))
-        figures.append(("unique", "unique violations", unique(None)))
-    figures.append(("failures", "failures", total(None)))
+    figures = [
+        ("at-fault", "failures at fault", Summary.at_fault),
+        _AT_FAULT_CLASSES,
+        ("unique", "unique violations", unique(None)),
+        ("failures", "failures", total(None)),
+    ]
     if all_signed(summaries):
         figures.append(("weaknesses", "weaknesses of the planner", n_weaknesses))
     return figures
@@ -98,11 +99,11 @@ def headline(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table
     """Return what an experiment says first: a narrow table of verdicts, with a sentence on each method as a note.
 
     Each method is compared with the baseline, or the reference with each other method if no other is the baseline, by
-    the classes of failures at fault, or the failures if they have no classes. Without two methods, there is no table.
+    the classes of failures at fault. Without two methods, there is no table.
     """
     named = {name: pairs for name, _, pairs in families(experiment)}
     pairs = named[experiment.baseline or experiment.compared]
-    _, words, figure = next((one for one in compared_figures(summaries) if one[0] == "at-fault-classes"), _AT_FAULT)
+    _, words, figure = _AT_FAULT_CLASSES
     found = samples(experiment, summaries, pairs, figure)
     if not found:
         return []
@@ -264,13 +265,11 @@ def curves_csv(found: Sequence[Curve]) -> str:
     return csv_text(rows)
 
 
-def curves_svg(found: Sequence[Curve]) -> str | None:
-    """Return the curves as an SVG figure with a panel for each environment and ADS; None without matplotlib."""
-    try:
-        import matplotlib as mpl  # noqa: PLC0415 - heavy and optional
-        from matplotlib.figure import Figure  # noqa: PLC0415
-    except ModuleNotFoundError:
-        return None
+def curves_svg(found: Sequence[Curve]) -> str:
+    """Return the curves as an SVG figure with a panel for each environment and ADS."""
+    import matplotlib as mpl  # noqa: PLC0415 - heavy
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
     places = list(dict.fromkeys((curve.env, curve.ads) for curve in found))
     figures = list(dict.fromkeys(curve.figure for curve in found))
     several_ads = len(places) > len({env for env, _ in places})

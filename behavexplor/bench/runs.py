@@ -256,7 +256,7 @@ class ExperimentRunner:
             return self.progress
         executor, at_a_time = self._start_executor()
         told = False
-        try:
+        with executor:
             while self._running or (self._waiting and not self.stopping):
                 if self.stopping and not told:
                     executor.stop()
@@ -266,8 +266,6 @@ class ExperimentRunner:
                     self._end(self._running.pop(future), future)
                 self._count()
                 observe(self.progress)
-        finally:
-            executor.shutdown(wait=False)
         return self.progress
 
     def _start_executor(self) -> tuple[Executor, int]:

@@ -42,7 +42,7 @@ class Failure:
     number: int  # number of the execution, counted from 0
     label: str  # most severe spec that it violates: "R1", "R2", "R3" or the name of a user's spec; or "error"
     npc_caused: bool  # whether it is a collision that an NPC caused, judged from the trace alone
-    kind: str | None  # class of the violation; None if it has not been classified
+    kind: str  # class of the violation
     # weakness of the rule planner that the decision log indicates, or "environment" or "unexplained"; None for a driver
     # without that log
     signature: str | None = None
@@ -113,9 +113,7 @@ class Summary:
         return frozenset(
             failure.kind
             for failure in self.failures
-            if failure.kind is not None
-            and label in (None, failure.label)
-            and (before is None or failure.number < before)
+            if label in (None, failure.label) and (before is None or failure.number < before)
         )
 
     def at_fault(self) -> int:
@@ -124,23 +122,17 @@ class Summary:
 
     def kinds_at_fault(self) -> frozenset[str]:
         """Return the classes of the failures for which the ADS was at fault."""
-        at_fault = (failure.kind for failure in self.failures if failure.at_fault)
-        return frozenset(kind for kind in at_fault if kind is not None)
+        return frozenset(failure.kind for failure in self.failures if failure.at_fault)
 
     @property
     def discovery(self) -> Discovery:
         """What the campaign has not found yet."""
-        return Discovery.of((failure.kind for failure in self.failures if failure.kind is not None), self.executions)
+        return Discovery.of((failure.kind for failure in self.failures), self.executions)
 
     def weaknesses(self) -> frozenset[str]:
         """Return the weaknesses of the rule planner in the signatures of the failures."""
         signatures = {failure.signature for failure in self.failures} - {ENVIRONMENT, UNEXPLAINED}
         return frozenset(name for name in signatures if name is not None)
-
-    @property
-    def classified(self) -> bool:
-        """True if every failure has a class."""
-        return all(failure.kind is not None for failure in self.failures)
 
     @property
     def signed(self) -> bool:
@@ -201,7 +193,7 @@ def _assignment(record: Record) -> tuple[tuple[str, str], ...]:
 
 def _failure(record: Record) -> Failure:
     label = LABELS.get(record.violated[0], record.violated[0])
-    return Failure(record.id, label, record.fault in NPC_CAUSED, record.violation_class)
+    return Failure(record.id, label, record.fault in NPC_CAUSED, record.violation_class or "")
 
 
 def _with_signatures(failures: Sequence[Failure], store: Store) -> list[Failure]:
@@ -215,11 +207,6 @@ def _with_signatures(failures: Sequence[Failure], store: Store) -> list[Failure]
         found = signature(trace, execution.record.violated)
         signed.append(replace(failure, signature=found or UNEXPLAINED))
     return signed
-
-
-def all_classified(summaries: Sequence[Summary]) -> bool:
-    """Return whether every failure of an experiment has a class, so that unique violations can be counted."""
-    return bool(summaries) and all(summary.classified for summary in summaries)
 
 
 def all_signed(summaries: Sequence[Summary]) -> bool:
@@ -236,10 +223,10 @@ def all_labels(summaries: Sequence[Summary]) -> tuple[str, ...]:
 def summary_rows(summaries: Sequence[Summary]) -> list[dict[str, object]]:
     """Return a row for each campaign, as values by column name.
 
-    Columns of classes or signatures are left out unless all failures of the experiment have them.
+    Columns of signatures are left out unless all failures of the experiment have them.
     """
-    unique, signed, labels = all_classified(summaries), all_signed(summaries), all_labels(summaries)
-    return [_row(summary, labels, unique=unique, signed=signed) for summary in summaries]
+    signed, labels = all_signed(summaries), all_labels(summaries)
+    return [_row(summary, labels, signed=signed) for summary in summaries]
 
 
 def summaries_csv(summaries: Sequence[Summary]) -> str:
@@ -248,17 +235,16 @@ def summaries_csv(summaries: Sequence[Summary]) -> str:
     return csv_text([rows[0] if rows else ["env"], *(row.values() for row in rows)])
 
 
-def _row(summary: Summary, labels: Sequence[str], *, unique: bool, signed: bool) -> dict[str, object]:
+def _row(summary: Summary, labels: Sequence[str], *, signed: bool) -> dict[str, object]:
     values: dict[str, object] = {name: getattr(summary, name) for name in ("env", "ads", "method", "seed")}
     values |= {"executions": summary.executions, "failed": summary.total(), "at_fault": summary.at_fault()}
     values |= {f"failed_{label}": summary.total(label) for label in labels}
     values |= {"R1_npc_caused": summary.npc_caused, "R1_other": summary.total("R1") - summary.npc_caused}
-    if unique:
-        values |= {"unique": len(summary.kinds()), **{f"unique_{label}": len(summary.kinds(label)) for label in labels}}
-        values["at_fault_classes"] = len(summary.kinds_at_fault())
-        values |= {"new_class_chance": _rounded(summary.discovery.new_chance, 6)}
-        values |= {"unseen_classes": _rounded(summary.discovery.unseen, 3)}
-        values["classes"] = " ".join(sorted(summary.kinds()))
+    values |= {"unique": len(summary.kinds()), **{f"unique_{label}": len(summary.kinds(label)) for label in labels}}
+    values["at_fault_classes"] = len(summary.kinds_at_fault())
+    values |= {"new_class_chance": _rounded(summary.discovery.new_chance, 6)}
+    values |= {"unseen_classes": _rounded(summary.discovery.unseen, 3)}
+    values["classes"] = " ".join(sorted(summary.kinds()))
     if signed:
         values |= {"weaknesses": len(summary.weaknesses()), "signatures": " ".join(sorted(summary.weaknesses()))}
     values["novelty_rate"] = _rounded(summary.novelty_rate, 6)

@@ -9,7 +9,7 @@ from behavexplor.bench.comparisons import EqualTime, comparisons, in_equal_time,
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.overviews import correlations, forecasts, mutations, overviews, pooled_forecasts
 from behavexplor.bench.statistics import estimate
-from behavexplor.bench.summaries import LABELS, Summary, all_classified, all_labels, all_signed
+from behavexplor.bench.summaries import LABELS, Summary, all_labels, all_signed
 from behavexplor.bench.table import (
     Column,
     Figure,
@@ -42,9 +42,8 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
         made.append(violations_in_equal_time(experiment, cut))
     for name, methods in experiment.groups.items():
         made.append(violations(f"violations-{name}", f"Violations found: {name}", experiment, summaries, methods))
-    if all_classified(summaries):
-        made.append(distinct(experiment, summaries))
-        made += [forecasts(experiment, summaries), pooled_forecasts(experiment, summaries)]
+    made.append(distinct(experiment, summaries))
+    made += [forecasts(experiment, summaries), pooled_forecasts(experiment, summaries)]
     if all_signed(summaries):
         made.append(weaknesses(experiment, summaries))
     made += overviews(experiment, summaries, cut)
@@ -89,17 +88,15 @@ def violations_in_equal_time(experiment: Experiment, cut: EqualTime) -> Table:
 
 def _found(summaries: Sequence[Summary]) -> list[tuple[Column, Figure]]:
     """Return the columns of findings, with their figures."""
-    columns: list[tuple[Column, Figure]] = [(Column("At fault", interval=True, best=True), Summary.at_fault)]
-    if all_classified(summaries):
-        columns += [(Column("At-fault classes", interval=True, best=True), n_kinds_at_fault)]
-    columns += [
+    columns: list[tuple[Column, Figure]] = [
+        (Column("At fault", interval=True, best=True), Summary.at_fault),
+        (Column("At-fault classes", interval=True, best=True), n_kinds_at_fault),
         *((Column(label), total(label)) for label in _labels(summaries)),
         (Column("Sum", interval=True, best=True), total(None)),
         (Column("R1 by NPC"), lambda summary: summary.npc_caused),
+        *((Column(f"Unique {label}"), unique(label)) for label in _labels(summaries)),
+        (Column("Unique sum", interval=True, best=True), unique(None)),
     ]
-    if all_classified(summaries):
-        columns += [(Column(f"Unique {label}"), unique(label)) for label in _labels(summaries)]
-        columns += [(Column("Unique sum", interval=True, best=True), unique(None))]
     if all_signed(summaries):
         columns += [(Column("Weaknesses", interval=True, best=True), n_weaknesses)]
     return columns

@@ -36,7 +36,6 @@ from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod, UniformCandidate
 from behavexplor.judge.discovery import INDEPENDENT
-from behavexplor.judge.lanes import has_other_names
 from behavexplor.judge.specs import SPECS, Spec
 
 COMMIT_ROWS = 50  # greatest number of executions in one commit
@@ -246,11 +245,6 @@ class Campaign:
             raise InputError(
                 f"The run cannot be resumed: execution {candidate.number} would now be a different scenario, so the "
                 f"configuration or the program has changed"
-            )
-        if candidate.number == 0 and has_other_names(stored.load_trace()):
-            raise InputError(
-                "The run cannot be resumed: an earlier version gave its failures other names, without knowing their "
-                "lanes; start a new one"
             )
         return _Pending(candidate, stored)
 

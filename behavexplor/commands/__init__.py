@@ -47,8 +47,6 @@ NO_TEMPORARY_FOLDER: Final = (
 _MATPLOTLIB: Final = "MPLCONFIGDIR"  # names the folder in which matplotlib keeps its cache
 _OUTPUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # if the error names no file, standard output has failed
 
-_RENAMED = {"--summary": "--json"}  # old and new names of flags
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command, such as `behavexplor fuzz`, by default that of this process, and return the exit code."""
@@ -125,9 +123,6 @@ def _run_command(given: Sequence[str]) -> int:
         names = {"--env": (*FUNCTIONAL_SCENARIOS, *HIGHWAY_ENV), "--method": tuple(methods)}
         with changed_output(lambda script: with_names(script, names)):
             tyro.extras.subcommand_cli_from_dict(commands, prog=program().rpartition(" ")[2], args=given)
-    for old, new in _RENAMED.items():
-        if any(one.partition("=")[0] == old for one in given):
-            raise InputError(f"{old} is called {new} now")
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
     command: Callable[..., int] = _command(name)

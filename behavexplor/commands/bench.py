@@ -1,5 +1,6 @@
 """`behavexplor bench`: run an experiment and write its tables."""
 
+import signal
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -24,7 +25,7 @@ from behavexplor.commands.display import Meter
 from behavexplor.commands.grids import text
 from behavexplor.commands.shared_flags import Switch, Trust
 from behavexplor.commands.wording import clock, counted, say, wrapped
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.durable import folder_in, write_durably, writing
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import available_cores
 from behavexplor.execution.ray_cluster import parse_cluster
@@ -153,10 +154,8 @@ def _prepare(experiment: Experiment, root: Path) -> None:
             logical = logical_of_target(executor, env)
         for run in runs:
             search_method(run.config, logical)  # raises if the method or its options are invalid
-    try:
+    with writing(f"The experiment folder {root}"):
         write_durably(folder_in(root) / EXPERIMENT, experiment.to_yaml())
-    except OSError as error:
-        raise InputError(f"The experiment folder {root} cannot be written: {error.strerror}") from None
 
 
 def _run(
@@ -202,18 +201,14 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     files = {"summaries.csv": summaries_csv(summaries), "tables.txt": listed, "curves.csv": curves_csv(drawn)}
     files |= {f"tables/{table.name}.csv": table_csv(table) for table in all_tables}
     files |= {f"tables/{table.name}.md": table_markdown(table) for table in all_tables}
-    figure = curves_svg(drawn)
-    if figure is not None:
-        files["curves.svg"] = figure
+    files["curves.svg"] = curves_svg(drawn)
     verdicts = headline(experiment, summaries)
     files[PAGE] = experiment_page(experiment, summaries, [*verdicts, *all_tables], drawn)
-    try:
+    with writing(f"The tables in {root}"):
         folder_in(root, "tables")
         for name, content in files.items():
             write_durably(root / name, content)
         write_archive(campaigns, root)
-    except OSError as error:
-        raise InputError(f"The tables in {root} cannot be written: {error.strerror}") from None
     for table in verdicts:
         parts = [wrapped(table.title), *map(text, _by_scenario(table)), *map(wrapped, table.notes)]
         say("\n\n".join(parts) + "\n")
@@ -233,8 +228,4 @@ def _stoppable(runner: ExperimentRunner) -> AbstractContextManager[None]:
         runner.stop()
         say("Stopping after the current executions; press Ctrl-C again to stop at once.", file=sys.stderr)
 
-    return stopped_by_signals(stop, _interrupt)
-
-
-def _interrupt(_number: int, _frame: object) -> None:
-    raise KeyboardInterrupt
+    return stopped_by_signals(stop, signal.default_int_handler)

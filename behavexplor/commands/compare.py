@@ -22,7 +22,7 @@ from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import say, wrapped
-from behavexplor.data.durable import write_durably
+from behavexplor.data.durable import write_durably, writing
 from behavexplor.errors import InputError, sentence
 from behavexplor.fuzz.methods import GIVEN
 from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
@@ -221,8 +221,6 @@ def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
     """Write the paired statistics as JSON, and the page."""
     runs = [read_run(place / name) for place in pages for name in (pair_campaigns.FIRST, pair_campaigns.SECOND)]
     text = page(runs, _REPLAYS, pairs)
-    try:
+    with writing(folder):
         write_durably(folder / TABLE, json.dumps(values(pairs), indent=1) + "\n")
         write_durably(folder / pair_campaigns.PAGE, text)
-    except OSError as error:
-        raise InputError(f"{folder} cannot be written: {error.strerror}") from None

@@ -11,17 +11,16 @@ import tyro
 from behavexplor.campaign.config import stamped_folder
 from behavexplor.commands import OK, main, program
 from behavexplor.commands.display import Meter
+from behavexplor.commands.shared_flags import flag
 from behavexplor.commands.wording import say
-from behavexplor.data.durable import folder_in
+from behavexplor.data.durable import folder_in, writing
 from behavexplor.errors import InputError, missing_library
 from behavexplor.report.run_page import PAGE
 
 
 def demo(
     *,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: a new one in runs/)")] = (
-        None
-    ),
+    out: Annotated[Path | None, flag("FOLDER", "a new one in runs/")] = None,
     budget: Annotated[str, tyro.conf.arg(metavar="N|TIME")] = "45s",
     steps: Annotated[int, tyro.conf.arg(metavar="N")] = 20_000,
     browser: bool = True,
@@ -39,10 +38,8 @@ def demo(
     except ModuleNotFoundError as error:
         raise missing_library("The demo", error.name, "rl") from None
     folder = out or stamped_folder("demo")
-    try:
+    with writing(f"The folder {folder}"):
         folder_in(folder)  # creates it
-    except OSError as error:
-        raise InputError(f"The folder {folder} cannot be created: {error.strerror}") from None
     if any(folder.iterdir()):
         raise InputError(f"{folder} is not empty: choose another --out")
     say(f"Training a small policy with PPO for {steps} steps ...", flush=True)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from itertools import chain, count
 from pathlib import Path
@@ -20,7 +20,7 @@ from behavexplor.commands.roads import check_libraries, road_of
 from behavexplor.commands.shared_flags import NewFolder, RunFolder, Trust
 from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.conventions import EPISODE_TIME
-from behavexplor.data.durable import folder_in
+from behavexplor.data.durable import folder_in, writing
 from behavexplor.data.road_shape import RoadPlan
 from behavexplor.errors import InputError
 from behavexplor.exchange.scenes import SceneFile, movers_of, write_table
@@ -62,8 +62,7 @@ def export(
     routes = npcs == "routes"
     if for_carla and routes:
         raise InputError("--npcs routes cannot be given with --format openscenario-1.0, which has no speed profiles")
-    store = Store.read(run)
-    try:
+    with closing(Store.read(run)) as store, writing(f"The folder {out}"):
         chosen = tuple(dict.fromkeys(numbers)) or tuple(record.id for record in store.records() if record.failed)
         config = stored_config(run).says
         if format != "csv":  # the environment is made for its road; nothing is driven
@@ -75,10 +74,6 @@ def export(
                     write_table(execution.scenario, execution.load_trace(), draft / f"{execution.id:06d}.csv")
                 else:
                     scenes.write(execution)
-    except OSError as error:
-        raise InputError(f"The folder {out} cannot be written: {error.strerror}") from None
-    finally:
-        store.close()
     say(f"{counted(len(chosen), 'execution')} written to {out}")
     if scenes.motionless:
         say(wrapped(f"{scenes.motionless} of these {_AT_ONCE}"))

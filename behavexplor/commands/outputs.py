@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, NamedTuple, TextIO
 import tyro
 from junitparser import Attr, Failure, JUnitXml, TestCase, TestSuite
 
-from behavexplor.data.durable import check_given, write_given
+from behavexplor.data.durable import check_given, write_given, writing
 from behavexplor.errors import InputError
 
 STDOUT: Final = Path("-")  # in place of a file: standard output
@@ -39,10 +39,8 @@ def _check(path: Path) -> None:
         raise InputError(f"{path} is a folder: name a file")
     if not path.parent.is_dir():
         raise InputError(f"{path} cannot be written: there is no folder {path.parent}")
-    try:
+    with writing(path):
         check_given(path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def write_json(path: Path | None, values: Any) -> None:
@@ -103,8 +101,6 @@ def _write(path: Path | None, text: str) -> None:
     if path == STDOUT:
         sys.stdout.write(text)
         return
-    try:
-        if path is not None:
+    if path is not None:
+        with writing(path):
             write_given(path, text)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None

@@ -21,9 +21,9 @@ from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
-from behavexplor.commands.shared_flags import RunFolder, Switch, Trust
+from behavexplor.commands.shared_flags import RunFolder, Switch, Trust, flag
 from behavexplor.commands.wording import hanging, say, wrapped
-from behavexplor.data.durable import folder_in, new_file
+from behavexplor.data.durable import folder_in, new_file, writing
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.errors import InputError, sentence
@@ -47,9 +47,7 @@ def replay(
     run: RunFolder,
     number: Annotated[int, tyro.conf.arg(name="id", metavar="ID"), tyro.conf.Positional],
     *,
-    out: Annotated[
-        Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: replays/ in RUN)")
-    ] = None,
+    out: Annotated[Path | None, flag("FOLDER", "replays/ in RUN")] = None,
     trust: Trust = (),
     avoided: Switch = False,
     unconfined: Switch = False,
@@ -76,15 +74,10 @@ def replay(
     if (failure := execution.record.error) is not None:
         say(sentence(f"Execution {number}: {ADSError(failure['kind'], failure['message'])}"))
     else:
-        _show(execution, _road(config, run), folder_parts)
+        _show(execution, known_road(config.env, run), folder_parts)
         say(wrapped("The same episode in a loop of your own; any policy can take the place of env.driver:"))
         say(textwrap.indent(snippet(run, number), "    "))
     return _compare(execution, config, run)
-
-
-def _road(config: CampaignConfig, run: Path) -> RoadShape:
-    """Return the road of a run; without surfaces if it is not known."""
-    return known_road(config.env, run) or RoadShape(())
 
 
 def _show(execution: Execution, shape: RoadShape, folder_parts: _FolderParts) -> None:
@@ -130,18 +123,14 @@ def _repetitions(names: Iterable[str]) -> str:
 
 def _save(footage: Footage, frame: int, folder_parts: _FolderParts, name: str) -> tuple[Path, Path]:
     """Write an animation and a picture of one frame, and return their paths."""
-    try:
+    with writing(f"The folder {Path(*folder_parts)}"):
         folder = folder_in(*folder_parts)
-    except OSError as error:
-        raise InputError(f"The folder {Path(*folder_parts)} cannot be created: {error.strerror}") from None
     animation, picture = folder / f"{name}.gif", folder / f"{name}.png"
-    try:
+    with writing(f"The pictures in {folder}"):
         with new_file(picture) as file:
             draw(footage, frame).save(file, "PNG")
         with new_file(animation) as file:
             save_animation(file, footage)
-    except OSError as error:
-        raise InputError(f"The pictures in {folder} cannot be written: {error.strerror}") from None
     return animation, picture
 
 
@@ -158,12 +147,11 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder_parts
     recorded = execution.load_trace()
     trace, is_avoided = _driven(execution, config, witness, recorded)
     if not is_avoided:
-        say(f"The maneuver in {file} does NOT avoid the collision.", file=sys.stderr)
+        say(f"The driving in {file} does NOT avoid the collision, or fails in another way.", file=sys.stderr)
         return CHECK_FAILED
     frame = min(len(recorded.time), len(trace.time)) - 1
-    begin = witness.begin if isinstance(witness, Witness) else 0.0
-    caption = f"{witness.name} from {begin:.2f} s on"
-    footage = replace(footage_of(execution, _road(config, run)), trace=trace, caption=caption, violated=())
+    caption = f"{witness.name} from {witness.begin:.2f} s on" if isinstance(witness, Witness) else witness.name
+    footage = replace(footage_of(execution, known_road(config.env, run)), trace=trace, caption=caption, violated=())
     animation, picture = _save(footage, frame, folder_parts, f"{execution.id:06d}-avoided")
     say(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
     say(f"Animation: {animation}\nAt the time of the collision: {picture}")

@@ -7,6 +7,7 @@ import tyro
 
 from behavexplor.bench.experiment import EXPERIMENT
 from behavexplor.commands import OK
+from behavexplor.commands.shared_flags import flag
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError
 from behavexplor.report.reading import read_run
@@ -18,10 +19,7 @@ def report(
         tuple[Path, ...], tyro.conf.arg(metavar="RUN...", help_behavior_hint="(at least one)"), tyro.conf.Positional
     ],
     *,
-    out: Annotated[
-        Path | None,
-        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: report.html in RUN; of several, in this folder)"),
-    ] = None,
+    out: Annotated[Path | None, flag("FILE", "report.html in RUN; of several, in this folder")] = None,
     replays: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
 ) -> int:
     """Write the findings of a run as one self-contained HTML file: violations with replays, curves, behaviors.

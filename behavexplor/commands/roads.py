@@ -35,8 +35,8 @@ def _highway_env(setup: Setup) -> Any:
 def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) -> tuple[RoadPlan, LogicalScenario]:
     """Return the road of a scenario, and the scenarios of its environment.
 
-    The scenario is None if its environment has one road for all. `env_config` is the environment's configuration as far
-    as it differs from the default; a scenario of highway-env's environments has its own.
+    The scenario may be None if its environment has one road for all. `env_config` is the environment's configuration as
+    far as it differs from the default; a scenario of highway-env's environments has its own.
 
     Raises:
         InputError: if the environment cannot be made, or has a road that cannot be exported.

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from behavexplor.campaign.config import read_yaml
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.durable import folder_in, write_durably, writing
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 
@@ -36,13 +36,11 @@ def begin_training(folder: Path, name: str, config: "TrainingConfig | Retraining
     Raises:
         InputError: if the folder is not empty, or cannot be written.
     """
-    try:
+    with writing(f"The folder {folder}"):
         if any(folder_in(folder).iterdir()):
             again = f"--resume {shlex.quote(str(folder))}"
             raise InputError(f"{folder} is not empty: resume with {again}, or choose another --out")
         write_durably(folder / name, config.to_yaml())
-    except OSError as error:
-        raise InputError(f"The folder {folder} cannot be written: {error.strerror}") from None
 
 
 def progress_line(learned: "Learned") -> str:

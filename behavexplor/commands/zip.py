@@ -10,6 +10,7 @@ from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.description import env_in_card
 from behavexplor.commands import OK, program
+from behavexplor.commands.shared_flags import flag
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, missing_library
 
@@ -18,9 +19,7 @@ def zip(  # noqa: A001 - the command's name
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")],
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")],
-    env: Annotated[
-        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: that of its training)")
-    ] = None,
+    env: Annotated[str | None, flag("NAME", "that of its training")] = None,
 ) -> int:
     """Write a trained network as a model of Stable-Baselines3, to train it further or to evaluate it in a script.
 

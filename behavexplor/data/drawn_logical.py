@@ -184,7 +184,7 @@ class DrawnLogicalScenario:
         return np.where(self._is_normal, scipy.special.ndtr(forms), forms)
 
     def of_shares(self, shares: Floats) -> Floats:
-        """Return the standard forms of shares, rounded so that `shares` and this method return to equal forms."""
+        """Return the standard forms of shares, rounded so that `shares` and then this method give equal forms again."""
         uniform = np.minimum(np.round(shares, _DIGITS), 1 - 10.0**-_DIGITS)
         normal = np.round(scipy.special.ndtri(np.clip(shares, _EDGE, 1 - _EDGE)), _DIGITS)
         return np.where(self._is_normal, normal, uniform)
@@ -218,7 +218,7 @@ class DrawnLogicalScenario:
         )
 
     def describe(self, scenario: DrawnScenario) -> str:
-        """Return a short description: the numbers of draws and of vehicles, or other parts, that they belong to."""
+        """Return a short description: the number of draws, that of the parts to which they belong, and the traffic."""
         count = sum(len(values) for _, values in scenario.draws)
         return f"{count} draws in {len(self.blocks)} parts, {self.setup.traffic} traffic"
 

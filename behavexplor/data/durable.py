@@ -13,6 +13,17 @@ from contextlib import contextmanager, suppress
 from io import BufferedWriter
 from pathlib import Path
 
+from behavexplor.errors import InputError
+
+
+@contextmanager
+def writing(what: str | Path) -> Iterator[None]:
+    """Return a context in which an `OSError` becomes an `InputError`: that `what` cannot be written, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{what} cannot be written: {error.strerror}") from None
+
 
 def write_durably(path: Path, content: str | bytes) -> None:
     """Write a file atomically and flush it to disk, so that a crash leaves no partial file.

@@ -184,6 +184,10 @@ class Trace:
         """Distance of the ego's last position from the destination [m]."""
         return float(np.hypot(*(self.position[-1, 0] - self.destination)))
 
+    def recent(self, frame: int, seconds: float) -> Ints:
+        """Return the frames of the last `seconds` [s] up to and including a frame."""
+        return np.arange(np.searchsorted(self.time, self.time[frame] - seconds - 1e-9), frame + 1)
+
     def until(self, frames: int, end: str) -> Self:
         """Return the trace of the first `frames` frames, at least 1, as if the episode had ended there by `end`."""
         given = self.action_frame < frames

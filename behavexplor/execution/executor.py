@@ -46,7 +46,7 @@ class Executor(ABC):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self.shutdown()
+        self.shutdown(wait=error is None)
 
 
 def available_cores() -> int:

@@ -1,17 +1,13 @@
 """Given scenarios, one after the other: no search, for repeating what was found with another driver."""
 
-import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 from behavexplor.data.scenario import LogicalScenario, Scenario, parse_scenario
-from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import validated
 from behavexplor.errors import InputError
-from behavexplor.fuzz.search import Candidate, SearchExhausted
-from behavexplor.judge.specs import Verdict
+from behavexplor.fuzz.search import Candidate, SearchExhausted, WithoutLearning
 
 GIVEN: Final = "given"  # origin of candidates
 
@@ -23,11 +19,10 @@ class GivenOptions:
     file: str  # file with one scenario as JSON in each line
 
 
-class Given:
+class Given(WithoutLearning):
     """Given scenarios: every scenario of a file, in order."""
 
     Options: ClassVar[type] = GivenOptions
-    foreseen = sys.maxsize
 
     def __init__(self, logical: LogicalScenario, seed: int, options: GivenOptions) -> None:  # noqa: ARG002
         self._scenarios = read_scenarios(Path(options.file), logical)
@@ -39,14 +34,6 @@ class Given:
             raise SearchExhausted(f"All {self._asked} given scenarios have been executed.")
         self._asked += 1
         return Candidate(self._asked - 1, self._scenarios[self._asked - 1], GIVEN, None)
-
-    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Ignore the execution, since nothing is learned."""
-        return {}
-
-    def status(self) -> Mapping[str, float]:
-        """Return no figures."""
-        return {}
 
 
 def read_scenarios(path: Path, logical: LogicalScenario) -> list[Scenario]:

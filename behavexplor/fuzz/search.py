@@ -3,6 +3,7 @@
 The campaign asks for a scenario, executes it, and tells the search method the result.
 """
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -103,3 +104,17 @@ class SearchMethod(Protocol):
     def status(self) -> Mapping[str, float]:
         """Return figures for the live display, by name."""
         ...
+
+
+class WithoutLearning:
+    """The part that methods share that learn nothing: no result changes any candidate."""
+
+    foreseen = sys.maxsize  # see `SearchMethod`
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
+        """Ignore the execution, and return no figures."""
+        return {}
+
+    def status(self) -> Mapping[str, float]:
+        """Return no figures."""
+        return {}

@@ -13,7 +13,6 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.jit import kernel_in_place
 from behavexplor.judge.classes import violation_class
-from behavexplor.judge.events import recent
 from behavexplor.judge.fault import touched_npc
 from behavexplor.judge.situation import bearing_of, maneuver_of
 from behavexplor.judge.specs import Verdict
@@ -96,7 +95,7 @@ def known_nearness(time_left: float, niche: list[str | int] | None) -> dict[str,
 
 def _before_contact(trace: Trace, partner: int) -> int:
     """Return the frame `BEFORE` the end, or the first one later in which the partner is there."""
-    first = int(recent(trace, len(trace.time) - 1, BEFORE)[0])
+    first = int(trace.recent(len(trace.time) - 1, BEFORE)[0])
     if not trace.present.size:
         return first
     return first + int(trace.present[first:, partner].argmax())

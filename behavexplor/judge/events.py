@@ -71,11 +71,6 @@ def first_line_touch(trace: Trace) -> ViolationEvent | None:
     return ViolationEvent(R2, int(frame[earliest]), int(line[earliest]))
 
 
-def recent(trace: Trace, frame: int, seconds: float) -> Ints:
-    """Return the frames of the last `seconds` [s] up to and including a frame."""
-    return np.arange(np.searchsorted(trace.time, trace.time[frame] - seconds - 1e-9), frame + 1)
-
-
 def recent_decisions(trace: Trace, frame: int, seconds: float) -> Ints:
     """Return the decisions made in the last `seconds` [s] before a frame."""
     given = trace.time[trace.action_frame]

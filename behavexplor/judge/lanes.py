@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 
-from behavexplor.data.array_types import Ints
 from behavexplor.data.conventions import wrapped
 from behavexplor.data.trace import (
     CHANGING,
@@ -36,14 +35,9 @@ def has_lane_signals(trace: Trace) -> bool:
     return WAY in trace.signals
 
 
-def has_other_names(trace: Trace) -> bool:
-    """Return whether a trace of a highway-env environment is so old that it does not say what its lanes were."""
-    return bool(trace.signals) and not has_lane_signals(trace)
-
-
 def lane_change(trace: Trace, frame: int, seconds: float) -> str:
     """Return the side to which the ego last changed lanes in the last `seconds` [s]: "left", "right", or empty."""
-    recent = trace.signals[CHANGING][_since(trace, frame, seconds)]
+    recent = trace.signals[CHANGING][trace.recent(frame, seconds)]
     sides = recent[recent != 0]
     if not len(sides):
         return ""
@@ -52,7 +46,7 @@ def lane_change(trace: Trace, frame: int, seconds: float) -> str:
 
 def has_entered_ring(trace: Trace, frame: int, seconds: float) -> bool:
     """Return whether the ego entered a roundabout in the last `seconds` [s]."""
-    return bool((trace.signals[WAY][_since(trace, frame, seconds)] == WAYS.index("entering-the-ring")).any())
+    return bool((trace.signals[WAY][trace.recent(frame, seconds)] == WAYS.index("entering-the-ring")).any())
 
 
 def maneuver(trace: Trace, frame: int, after: float) -> str:
@@ -63,7 +57,7 @@ def maneuver(trace: Trace, frame: int, after: float) -> str:
     side = lane_change(trace, frame, BEFORE)
     if side:
         return f"changing-{side}"
-    ways = [WAYS[int(way)] for way in trace.signals[WAY][_since(trace, frame, BEFORE)]]
+    ways = [WAYS[int(way)] for way in trace.signals[WAY][trace.recent(frame, BEFORE)]]
     passing = [way for way in ways if way in _PASSING]
     if passing:
         return passing[-1]
@@ -83,7 +77,7 @@ def relation(trace: Trace, frame: int, npc: int) -> str:
         return "obstacle"
     if had_crashed(trace, frame, npc):
         return "crashed-before"
-    seen = _since(trace, frame, BEFORE)
+    seen = trace.recent(frame, BEFORE)
     begin = int(seen[trace.present[seen, npc].argmax()] if trace.present.size else seen[0])
     if where[begin] == ON_ITS_WAY:
         turned = wrapped(trace.heading[begin, npc] - trace.heading[begin, 0])
@@ -122,8 +116,3 @@ def _on_its_way(ahead: float, lanes: int, *, is_beside: bool) -> str:
     if is_beside:
         return f"on-the-{side}"
     return f"ahead-on-the-{side}" if ahead > 0 else f"behind-on-the-{side}"
-
-
-def _since(trace: Trace, frame: int, seconds: float) -> Ints:
-    """Return the frames of the last `seconds` [s] up to and including a frame."""
-    return np.arange(np.searchsorted(trace.time, trace.time[frame] - seconds - 1e-9), frame + 1)

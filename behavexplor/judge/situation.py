@@ -9,7 +9,6 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import REAR_END_ANGLE, STANDING_SPEED, wrapped
 from behavexplor.data.geometry import box_corners, project_on_polyline
 from behavexplor.data.trace import Trace
-from behavexplor.judge.events import recent
 from behavexplor.judge.fault import CUT_IN_TIME
 from behavexplor.judge.lanes import has_lane_signals, maneuver, relation
 
@@ -33,7 +32,7 @@ def maneuver_of(trace: Trace, frame: int) -> str:
     """
     if has_lane_signals(trace):
         return maneuver(trace, frame, CUT_IN_TIME)
-    frames = recent(trace, frame, CUT_IN_TIME)
+    frames = trace.recent(frame, CUT_IN_TIME)
     station, along = project_on_polyline(trace.position[frames, 0], trace.route)
     turn = _turn(trace.route, float(station[-1]))
     if turn:
@@ -72,16 +71,16 @@ def bearing_of(trace: Trace, frame: int, npc: int) -> str:
     before = heading_before(trace, frame, npc)
     turning = "-turning" if abs(wrapped(trace.heading[frame, npc] - before)) > TURNED else ""
     if abs(now) < REAR_END_ANGLE:
-        return _relation(trace, frame, npc) + turning
+        return _position(trace, frame, npc) + turning
     came = wrapped(before - heading_before(trace, frame, 0))
     if abs(came) > math.pi * 3 / 4:
         return "oncoming" + turning
     if abs(came) < math.pi / 4:  # it came from the ego's direction, and turned across the ego's path
-        return _relation(trace, frame, npc) + turning
+        return _position(trace, frame, npc) + turning
     return ("crossing-from-left" if came > 0 else "crossing-from-right") + turning
 
 
-def _relation(trace: Trace, frame: int, npc: int) -> str:
+def _position(trace: Trace, frame: int, npc: int) -> str:
     """Return the position of a vehicle relative to the ego: leading, from behind, or on one side."""
     gap = trace.position[frame, npc] - trace.position[frame, 0]
     heading = trace.heading[frame, 0]
@@ -104,7 +103,7 @@ def heading_before(trace: Trace, frame: int, vehicle: int) -> float:
 def touched_side(trace: Trace, frame: int, npc: int) -> str:
     """Return the touched side of the ego: front, rear, left or right.
 
-    It is the side on which the points of both outlines lie that are deepest inside both boxes.
+    Of all points on the two outlines, those that lie deepest inside both boxes decide it.
     """
     boxes = box_corners(trace.position[frame, [0, npc]], trace.heading[frame, [0, npc]], trace.size[[0, npc]])
     points = np.concatenate([_outline(boxes[0]), _outline(boxes[1])])
@@ -157,7 +156,7 @@ def behavior_of(trace: Trace, frame: int) -> str:
     speed, motion = speed_of(trace, frame, 0), motion_of(trace, frame, 0)
     if motion == "standing":
         return motion
-    begin = int(recent(trace, frame, BRAKING_TIME)[0])
+    begin = int(trace.recent(frame, BRAKING_TIME)[0])
     elapsed = trace.time[frame] - trace.time[begin]
     if elapsed > 0 and (speed_of(trace, begin, 0) - speed) / elapsed > BRAKING:
         return "braking"

@@ -15,7 +15,7 @@ from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.same_driver import driver_digests
 from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_scenario import DEFAULT, Traffic
-from behavexplor.data.durable import check_no_file, folder_in, write_durably
+from behavexplor.data.durable import check_no_file, folder_in, write_durably, writing
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.target import OF_EPISODES, Activation, CheckedTarget
 from behavexplor.data.trace import Trace
@@ -168,7 +168,7 @@ class Suite:
         """
         check_free(folder)
         remember(own_digests(self.claim))  # without it, the suite must be trusted, as on another machine
-        try:
+        with writing(folder):
             folder_in(folder, CASES)
             for case in self.cases:
                 write_durably(case.file(folder), _case_text(case))
@@ -184,8 +184,6 @@ class Suite:
                 values["digests"] = digests
             config = {"env_config": dict(self.env_config)} if self.env_config else {}
             write_durably(folder / SUITE, _yaml({"format": SUITE_FORMAT, **values, **config}))
-        except OSError as error:
-            raise InputError(f"{folder} cannot be written: {error.strerror}") from None
 
 
 def check_free(folder: Path) -> None:

@@ -103,11 +103,8 @@ def opened_driver(
     if suite.digests and changed:
         warnings.warn(f"The driver is not the one that failed in the suite: {changed}", stacklevel=3)
     target = suite.target(ads or suite.driver, trust=consent.trust, modules=found.modules, **settings)
-    executor = start_executor(target, workers)
-    try:
+    with start_executor(target, workers) as executor:
         specs = load_specs(suite.specs)
         _check_names(suite, [spec.name for spec in specs])
         check_loading(executor)
         yield Checker(executor, logical_of_target(executor, suite.env), specs)
-    finally:
-        executor.shutdown(wait=False)

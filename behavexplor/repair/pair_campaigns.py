@@ -18,7 +18,7 @@ from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.record import ERROR
 from behavexplor.campaign.store import Store
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.durable import folder_in, write_durably, writing
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
@@ -164,10 +164,8 @@ def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe,
         InputError: if the driver, the environment or the folder cannot be used.
         ExecutionError: if an execution could not be carried out.
     """
-    try:
+    with writing(f"The folder {folder.parent}"):
         place = folder_in(folder.parent, folder.name)
-    except OSError as error:
-        raise InputError(f"The folder {folder.parent} cannot be written: {error.strerror}") from None
     with opened(config, place, workers, resume=resume) as ready:
         ready.campaign.run(lambda progress: observe(progress.executions))
         ready.campaign.confirm()
@@ -225,9 +223,6 @@ def differences(
 
 @contextmanager
 def _loaded(target: Target, workers: int) -> Iterator[LoadedDriver]:
-    executor = start_executor(target, workers)
-    try:
+    with start_executor(target, workers) as executor:
         check_loading(executor)
         yield LoadedDriver(executor, logical_of_target(executor, target.env))
-    finally:
-        executor.shutdown(wait=False)

@@ -17,10 +17,11 @@ _CURVE_POINTS: Final = 13  # points along a curved lane
 _MARGIN: Final = 60.0  # distance from the egos' drives within which the dashes between lanes are shown [m]
 
 
-def known_road(env: str, run: Path) -> RoadShape | None:
-    """Return the road of a run: the one in its folder, or else that of the functional scenario `env`; None if unknown.
+def known_road(env: str, run: Path) -> RoadShape:
+    """Return the road of a run: the one in its folder, or else that of the functional scenario `env`.
 
-    No environment of another package is made, since a report must not import third-party code that a run folder names.
+    A road that is not known has no surfaces. No environment of another package is made, since a report must not import
+    third-party code that a run folder names.
 
     Raises:
         InputError: if the file of the road is damaged.
@@ -30,7 +31,7 @@ def known_road(env: str, run: Path) -> RoadShape | None:
         return RoadShape.from_json(read_file(stored).decode(errors="replace"))
     name = env.removeprefix(f"{NAMESPACE}/").removesuffix("-v0") if env.startswith(f"{NAMESPACE}/") else env
     if name not in FUNCTIONAL_SCENARIOS:
-        return None
+        return RoadShape(())
     env_made = gymnasium.make(f"{NAMESPACE}/{name}-v0", disable_env_checker=True)
     roadmap: RoadMap = env_made.unwrapped.logical.roadmap  # type: ignore[attr-defined]
     env_made.close()
@@ -47,14 +48,14 @@ def shape_of(roadmap: RoadMap) -> RoadShape:
     )
 
 
-def line_kinds(shape: RoadShape | None, trace: Trace) -> tuple[str, ...]:
+def line_kinds(shape: RoadShape, trace: Trace) -> tuple[str, ...]:
     """Return the kinds of a trace's illegal lines; they count as curbs if the road does not name them."""
-    known = shape is not None and len(shape.line_kinds) == len(trace.illegal_lines)
-    return shape.line_kinds if shape is not None and known else (CURB,) * len(trace.illegal_lines)
+    known = len(shape.line_kinds) == len(trace.illegal_lines)
+    return shape.line_kinds if known else (CURB,) * len(trace.illegal_lines)
 
 
-def road_values(shape: RoadShape | None, traces: list[Trace]) -> dict[str, Any]:
-    """Return the road under traces as JSON values, with lengths in meters; without `shape`, only what the traces hold.
+def road_values(shape: RoadShape, traces: list[Trace]) -> dict[str, Any]:
+    """Return the road under traces as JSON values, with lengths in meters.
 
     All executions have the same illegal lines. They, the ego's route and its destination are those of the first trace.
     """
@@ -62,13 +63,12 @@ def road_values(shape: RoadShape | None, traces: list[Trace]) -> dict[str, Any]:
     low, high = drives.min(0) - _MARGIN, drives.max(0) + _MARGIN
     kinds = line_kinds(shape, trace)
     lines = [{"kind": kind, "ends": _points(line)} for kind, line in zip(kinds, trace.illegal_lines, strict=True)]
-    if shape is not None:
-        lines += [{"kind": CURB, "ends": _points(line)} for line in shape.borders]
+    lines += [{"kind": CURB, "ends": _points(line)} for line in shape.borders]
     return {
-        "lanes": [] if shape is None else [_points(surface) for surface in shape.surfaces],
-        "dashes": [] if shape is None else [_points(dash) for dash in shape.dashes(low, high)],
+        "lanes": [_points(surface) for surface in shape.surfaces],
+        "dashes": [_points(dash) for dash in shape.dashes(low, high)],
         "lines": lines,
-        "routes": {} if shape is None else {name: _points(route) for name, route in shape.routes.items()},
+        "routes": {name: _points(route) for name, route in shape.routes.items()},
         "ego": _points(trace.route[:: max(1, len(trace.route) // 120)]),
         "destination": [round(float(value), 2) for value in trace.destination],
     }

@@ -15,7 +15,7 @@ from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.store import Store
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import VEHICLE_SIZES
-from behavexplor.data.durable import write_durably
+from behavexplor.data.durable import write_durably, writing
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
@@ -169,7 +169,7 @@ def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first:
         ribbons=tuple(_ribbon(found, name, class_id, longest, name in records) for name, class_id in strips),
         longest=longest * TIME_STEP,
         places=_places(run, found, records),
-        has_road=shape is not None,
+        has_road=bool(shape.surfaces),
         left_out=len(traces) < len(wanted) or shown != list(gallery),
         values={"road": road_values(shape, list(traces.values())), "replays": replays},
     )
@@ -370,10 +370,8 @@ def written(path: Path, text: str) -> Path:
     Raises:
         InputError: if it cannot be written.
     """
-    try:
+    with writing(f"The report {path}"):
         write_durably(path, text)
-    except OSError as error:
-        raise InputError(f"The report {path} cannot be written: {error.strerror}") from None
     return path
 
 

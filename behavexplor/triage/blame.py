@@ -71,7 +71,7 @@ def _blame_in_reactive_traffic(
     """Return the verdict on a crash in a highway-env environment, see `behavexplor.triage.closed_loop`."""
     if by_trace not in ("other", "npc_wreck"):
         return Blame(by_trace, in_junction=False)
-    others = find_driver(scenario, rng)
+    others = find_driver(scenario, trace, chance, rng)
     kind = by_trace if others.answer is None else others.answer  # None: they do not decide it
     is_obstacle = PARTNER in trace.signals and trace.signals[PARTNER][-1] == OBSTACLE
     if kind == "unpreventable" and (is_obstacle or chance is not None):  # others crash as well, which is no excuse

@@ -58,12 +58,12 @@ class OtherDrivers(NamedTuple):
 class ScriptedDriver:
     """A driver of B egos that takes actions from a table.
 
-    The table has actions by ego and decision, shape (B, D). After the last one, it is taken again and again.
+    The table has actions by ego and decision, shape (B, D, ...). After the last one, it is taken again and again.
     """
 
     vectorized: bool = True
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: Array) -> None:
         self._actions = actions
 
     def predict(
@@ -72,15 +72,20 @@ class ScriptedDriver:
         state: Any = None,
         episode_start: Any = None,  # noqa: ARG002 - all episodes start together
         deterministic: bool = True,  # noqa: ARG002 - it always is
-    ) -> tuple[Actions, Any]:
-        """Return the next action of each ego, shape (B,); see `behavexplor.ads.interface.ADS`."""
+    ) -> tuple[Array, Any]:
+        """Return the next action of each ego, shape (B, ...); see `behavexplor.ads.interface.ADS`."""
         decision = 0 if state is None else state
         rows = self._actions[: len(observation)]
         return rows[:, min(decision, rows.shape[1] - 1)], decision + 1
 
 
-def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> OtherDrivers:
-    """Find a driver that keeps all requirements of the environment in a scenario; `rng` draws the random actions."""
+def find_driver(
+    scenario: DrawnScenario, crash: Trace, chance: LastChance | None, rng: np.random.Generator
+) -> OtherDrivers:
+    """Find a driver that keeps all requirements of the environment in a scenario; `rng` draws the random actions.
+
+    If the others all fail, those are tried that drive as the ego did in the `crash` up to its last `chance`.
+    """
     names = ["careful"]
     names += [f"always {name}" for name in CONSTANT]
     names += [f"random actions {i}" for i in range(1, RANDOM + 1)]
@@ -89,16 +94,35 @@ def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> OtherDrive
     # the environment cannot be configured for them, or has a wrapper of its own around what they see
     except (InputError, ADSError):
         return OtherDrivers(None, 0, None)
-    good = [pair for pair in zip(names, traces, strict=True) if not judge(pair[1]).failed]
+    driven = list(zip(names, traces, strict=True))
+    good = [pair for pair in driven if not judge(pair[1]).failed]
+    if not good and chance is not None:
+        saved = _saved(scenario, crash, chance)
+        good = [pair for pair in saved if not judge(pair[1]).failed]
+        driven += saved
     if good:
         name, trace = next((pair for pair in good if not _only_stands(pair[1])), good[0])
         shown = f"{STANDING_STILL} ({name})" if _only_stands(trace) else name
         driver = OtherDriver(shown, tuple(trace.actions[:, 0].astype(int).tolist()))
-        return OtherDrivers(driver, len(traces), "preventable")
-    safe = [trace for trace in traces if not trace.signals[CRASHED].any()]
+        return OtherDrivers(driver, len(driven), "preventable")
+    safe = [trace for _, trace in driven if not trace.signals[CRASHED].any()]
     if not safe:
-        return OtherDrivers(None, len(traces), "unpreventable")
-    return OtherDrivers(None, len(traces), "standing_still_avoids_it" if any(map(_stands, safe)) else None)
+        return OtherDrivers(None, len(driven), "unpreventable")
+    return OtherDrivers(None, len(driven), "standing_still_avoids_it" if any(map(_stands, safe)) else None)
+
+
+def _saved(scenario: DrawnScenario, crash: Trace, chance: LastChance) -> list[tuple[str, Trace]]:
+    """Drive as recorded up to the last chance, then take a saving action, and then always the same one."""
+    indices = [MANEUVERS.index(name) for name in scenario.meta_actions]
+    recorded = [indices[int(action)] for action in crash.actions[: -chance.back, 0]]
+    pairs = [(saving, name) for saving in chance.saving for name in CONSTANT]
+    actions = [[*recorded, MANEUVERS.index(saving), MANEUVERS.index(name)] for saving, name in pairs]
+    names = [f"the last chance ({saving}, then always {name})" for saving, name in pairs]
+    same = replace(scenario, setup=_environment(scenario.setup).logical.setup)
+    traces = _compiled(scenario.setup, ScriptedDriver(np.array(actions)), same, len(actions))
+    until = crash.action_frame[-chance.back] + 1
+    as_recorded = [np.array_equal(one.position[:until, 0], crash.position[:until, 0]) for one in traces]
+    return [pair for pair, is_so in zip(zip(names, traces, strict=True), as_recorded, strict=True) if is_so]
 
 
 def _stands(trace: Trace) -> bool:
@@ -149,7 +173,7 @@ def _environment(setup: Setup) -> Any:
     return make_recorded(replace(setup, config=config_text(CarefulDriver().fitted(json.loads(setup.config)))))
 
 
-@lru_cache(maxsize=2)  # one for the careful driver alone, and one for all others together
+@lru_cache(maxsize=3)  # one for the careful driver alone, one for all others together, and the latest of `_saved`
 def _lock_step(setup: Setup, count: int) -> Any:
     """Return a vector environment of `_environment(setup)` with so many sub-environments."""
     return make_vector_env(_environment(setup), count, {})

@@ -90,16 +90,10 @@ def run_forks(
 ) -> list[Trace]:
     """Continue a recorded execution of the rule planner along several forks, and return the trace of each.
 
-    `seconds` limits the duration of the replays [s]; None for whole executions. A replay may be longer.
-
-    Raises:
-        TypeError: if the ADS is not the rule planner.
+    There is at least one fork. `seconds` limits the duration of the replays [s]; None for whole executions. A replay
+    may be longer.
     """
     planner = simulation.ads
-    if not isinstance(planner, RulePlanner):
-        raise TypeError(f"only drives of the rule planner can be forked, not of {planner!r:.80}")
-    if not forks:
-        return []
     limits = {} if seconds is None else {"duration": seconds}
     envs = simulation.vector_env(len(forks), **limits)
     if envs is None:
@@ -178,7 +172,6 @@ def _causes(
     If the violation happens with all weaknesses of the violated spec switched off, none of them is sufficient.
     """
     planner = simulation.ads
-    assert isinstance(planner, RulePlanner)  # noqa: S101 - checked by the caller
     decisions = recent_decisions(trace, event.frame, outlook)
     begin = int(decisions[0]) if len(decisions) else 0
     until = None if event.spec == R3 else float(trace.time[event.frame]) + AFTERMATH

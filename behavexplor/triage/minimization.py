@@ -14,7 +14,7 @@ from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.durable import folder_in
+from behavexplor.data.durable import folder_in, writing
 from behavexplor.data.scenario import LogicalScenario, Parts, Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
@@ -292,14 +292,11 @@ class RunMinimization:
             InputError: if the driver cannot be loaded, or the run folder cannot be written.
             RuntimeError: if a failure could not be minimized.
         """
-        with closing(Store.read(self._run)) as store:
-            try:
-                for minimal in self._minimized(store):
-                    if minimal is not None:
-                        self._found[minimal.id] = minimal
-                    observe(sum(number in self._found for number in self.waiting))
-            except OSError as error:
-                raise InputError(f"The run folder {self._run} cannot be written: {error.strerror}") from None
+        with closing(Store.read(self._run)) as store, writing(f"The run folder {self._run}"):
+            for minimal in self._minimized(store):
+                if minimal is not None:
+                    self._found[minimal.id] = minimal
+                observe(sum(number in self._found for number in self.waiting))
         return [self._found[number] for number in self._chosen]
 
     def _minimized(self, store: Store) -> Iterator[Minimized | None]:
@@ -310,8 +307,7 @@ class RunMinimization:
         if not self.waiting:
             return
         workers = min(self._workers, len(self.waiting))
-        executor = start_evaluator(Minimizer, self._config, TIME_LIMIT, workers, self._driver)
-        try:
+        with start_evaluator(Minimizer, self._config, TIME_LIMIT, workers, self._driver) as executor:
             folder_in(store.folder, MINIMIZED)
             ended = {number for number in self.waiting if _ends_process(store.execution(number).record)}
             tried = (number for number in self.waiting if number not in ended)
@@ -325,8 +321,6 @@ class RunMinimization:
                 minimal, trace = answer or self._as_found(executor, store.execution(number))
                 minimal.write(store.folder, trace)
                 yield minimal
-        finally:
-            executor.shutdown(wait=False)
 
     def _as_found(self, executor: Executor, execution: Execution) -> tuple[Minimized, bytes]:
         logical, specs = logical_of_target(executor, self._config.env), load_specs(self._config.specs)

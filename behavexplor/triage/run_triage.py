@@ -18,10 +18,9 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.confirmation import unconfirmed
 from behavexplor.campaign.judgment import ads_failure, confirmed
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.durable import folder_in, write_durably, writing
 from behavexplor.data.trace import WEAKNESS_NAMES, Trace, weakness_names
 from behavexplor.data.validation import checked
-from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import AHEAD, ADSError, Executor, in_order
 from behavexplor.triage.examination import EXAMINE, Examiner, examination, start_evaluator
@@ -70,11 +69,8 @@ class RunTriage:
             InputError: if the run folder cannot be written, or is damaged.
             RuntimeError: if a failure could not be examined or confirmed.
         """
-        with closing(Store.read(self._run)) as store:
-            try:
-                return self._examine(store, observe)
-            except OSError as error:
-                raise InputError(f"The run folder {self._run} cannot be written: {error.strerror}") from None
+        with closing(Store.read(self._run)) as store, writing(f"The run folder {self._run}"):
+            return self._examine(store, observe)
 
     def _examine(self, store: Store, observe: Callable[[int], None]) -> Triage:
         folder_in(self._run, WITNESSES)  # creates it
@@ -83,8 +79,7 @@ class RunTriage:
         if not tasks:
             return self._written(store)
         workers = min(self._workers, tasks)
-        executor = start_evaluator(Examiner, self._config, TIME_LIMIT, workers, self._driver)
-        try:
+        with start_evaluator(Examiner, self._config, TIME_LIMIT, workers, self._driver) as executor:
             for done, finding in enumerate(self._findings(store, executor, AHEAD * workers), 1):
                 self._known[finding.id] = finding
                 if done % WRITTEN_AFTER == 0:
@@ -93,8 +88,6 @@ class RunTriage:
             found = self._written(store)
             for _ in confirmed(executor, store, missing):  # writes what highway-env says of each
                 pass
-        finally:
-            executor.shutdown(wait=False)
         return found
 
     def _findings(self, store: Store, executor: Executor, ahead: int) -> Iterator[Finding]:

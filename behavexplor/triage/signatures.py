@@ -16,9 +16,8 @@ import numpy as np
 
 from behavexplor.data.conventions import STANDING_SPEED, wrapped
 from behavexplor.data.trace import ENVIRONMENT, Trace, weakness_names
-from behavexplor.errors import InputError
 from behavexplor.judge.classes import LARGE
-from behavexplor.judge.events import R1, R3, ViolationEvent, recent, recent_decisions, violation_event
+from behavexplor.judge.events import R1, R3, ViolationEvent, recent_decisions, violation_event
 from behavexplor.judge.fault import contact_fault
 from behavexplor.judge.situation import CREEPING, TURNED, heading_before, maneuver_of, speed_of
 
@@ -58,13 +57,13 @@ def _overtaken_from(trace: Trace, event: ViolationEvent) -> bool:
 
 def _restarted(trace: Trace, event: ViolationEvent) -> bool:
     """Return whether the ego stood shortly before the violation."""
-    frames = recent(trace, event.frame, OUTLOOK)
+    frames = trace.recent(event.frame, OUTLOOK)
     return bool((np.hypot(*trace.velocity[frames, 0].T) < STANDING_SPEED).any())
 
 
 def _crept(trace: Trace, event: ViolationEvent) -> bool:
     """Return whether the other vehicle crept most of the time."""
-    speed = np.hypot(*trace.velocity[recent(trace, event.frame, OUTLOOK), event.partner].T)
+    speed = np.hypot(*trace.velocity[trace.recent(event.frame, OUTLOOK), event.partner].T)
     return float(np.median(speed)) < CREEPING
 
 
@@ -80,7 +79,7 @@ def _was_large(trace: Trace, event: ViolationEvent) -> bool:
 
 def _was_hidden(trace: Trace, event: ViolationEvent) -> bool:
     """Return whether the center of the other vehicle was out of the ego's sight for some time."""
-    frames = recent(trace, event.frame, OUTLOOK)
+    frames = trace.recent(event.frame, OUTLOOK)
     gap = trace.position[frames] - trace.position[frames][:, :1]
     distance = np.hypot(gap[..., 0], gap[..., 1])
     bearing = np.arctan2(gap[..., 1], gap[..., 0])
@@ -93,7 +92,7 @@ def _was_hidden(trace: Trace, event: ViolationEvent) -> bool:
 
 def _changed_suddenly(trace: Trace, event: ViolationEvent) -> bool:
     """Return whether the other vehicle changed its speed suddenly."""
-    frames = recent(trace, event.frame, OUTLOOK)
+    frames = trace.recent(event.frame, OUTLOOK)
     speed = np.hypot(*trace.velocity[frames, event.partner].T)
     return bool((np.abs(np.diff(speed) / np.diff(trace.time[frames])) > SUDDEN).any())
 
@@ -148,15 +147,9 @@ class Agreement:
 
 
 def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
-    """Compare given labels with the true labels of the same items, in the same order.
-
-    Raises:
-        InputError: if there are no labels, or the sequences differ in length.
-    """
+    """Compare given labels with the true labels of the same items, at least one, in the same order."""
     from sklearn.metrics import adjusted_rand_score, precision_recall_fscore_support  # noqa: PLC0415 - slow to import
 
-    if not true or len(true) != len(given):
-        raise InputError(f"Labels are compared one by one, so {len(true)} and {len(given)} labels do not match")
     equal = sum(a == b for a, b in zip(true, given, strict=True)) / len(true)
     mean = {"average": "macro", "zero_division": 0.0}
     precision = precision_recall_fscore_support(true, given, labels=sorted(set(given)), **mean)[0]

@@ -23,6 +23,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import ViolationEvent, first_line_touch
+from behavexplor.triage.closed_loop import ScriptedDriver
 from behavexplor.triage.findings import Witness
 
 MAX_ACCELERATION: Final = 10.0  # greatest acceleration and deceleration that `ACTION` can command [m/s2]
@@ -90,25 +91,6 @@ def recorded_commands(trace: Trace) -> Floats:
 def as_actions(commands: Floats) -> Floats:
     """Scale accelerations [m/s2] and steering angles [rad], shape (..., 2), to values of `ACTION`."""
     return np.asarray(commands / (MAX_ACCELERATION, MAX_STEERING))
-
-
-class Playback:
-    """An ADS that gives commands, shape (T, 2) as of `recorded_commands`, one a step, and then repeats the last."""
-
-    def __init__(self, commands: Floats) -> None:
-        self._actions = as_actions(commands)
-
-    def predict(
-        self,
-        observation: Floats,
-        state: int | None = None,
-        episode_start: Bools | None = None,  # noqa: ARG002 - all egos begin together
-        deterministic: bool = True,  # noqa: ARG002 - playback is always deterministic
-    ) -> tuple[Floats, int]:
-        """Return the command of this step for every ego. The state counts the steps."""
-        step = 0 if state is None else state
-        action = self._actions[min(step, len(self._actions) - 1)]
-        return np.repeat(action[None], len(observation), axis=0), step + 1
 
 
 @dataclass(frozen=True)
@@ -278,7 +260,7 @@ def replay_witness(simulation: Simulation, scenario: Scenario, witness: Witness)
     envs = simulation.vector_env(1, **_config(witness.frequency, seconds))
     if envs is None:
         raise ValueError("this environment cannot run in lock-step")
-    (_, trace), *_ = rollout_all(envs, Playback(witness.commands), [scenario])
+    (_, trace), *_ = rollout_all(envs, ScriptedDriver(as_actions(witness.commands)[None]), [scenario])
     envs.close()
     return trace
 

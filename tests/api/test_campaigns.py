@@ -138,6 +138,19 @@ def test_a_requirement_in_memory_is_judged(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"specs": breaks}, "specs must be a list, such as"),
+        ({"specs": "my_specs:brakes"}, "specs must be a list, such as .*my_specs:brakes"),
+        ({"env_config": "config.yaml"}, "env_config must be a mapping from keys to values, got 'config.yaml'"),
+    ],
+)
+def test_lone_requirements_and_names_of_files_are_refused(given, message):
+    with pytest.raises(behavexplor.InputError, match=message):
+        behavexplor.find_failures(cruiser, budget=3, **given)
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"driver": cruiser, "workers": 2}, "workers=2 needs a driver that other processes can load"),

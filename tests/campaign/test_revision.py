@@ -80,15 +80,3 @@ def test_a_new_campaign_of_another_revision_is_refused(tmp_path):
     with pytest.raises(InputError, match=f"revision {REVISION + 1}"), opened(config, tmp_path / "a", 0, resume=False):
         pass
     assert not (tmp_path / "a").exists()
-
-
-def test_a_run_whose_failures_have_other_names_is_not_resumed(tmp_path, monkeypatch):
-    config = CampaignConfig(env="highway-fast-v0", ads="constant:IDLE", method="uniform", budget="1", batch=1)
-    with opened(config, tmp_path, 0, resume=False) as ready:
-        ready.campaign.run(lambda _: None)
-    monkeypatch.setattr("behavexplor.judge.lanes.WAY", "unknown")
-    with (
-        pytest.raises(InputError, match="an earlier version gave its failures other names"),
-        opened(replace(config, budget="2"), tmp_path, 0, resume=True) as ready,
-    ):
-        ready.campaign.run(lambda _: None)

@@ -201,9 +201,7 @@ def test_one_output_is_standard_output_and_nothing_else_is_on_it(monkeypatch, ca
     assert "cannot both be '-'" in capsys.readouterr().err
 
 
-def test_old_flags_name_the_new_ones_and_unknown_commands_the_nearest(capsys):
-    assert main(["fuzz", "--summary", "x"]) == BAD_INPUT
-    assert "--summary is called --json now" in capsys.readouterr().err
+def test_unknown_commands_name_the_nearest(capsys):
     assert main(["fuz"]) == BAD_INPUT
     assert "did you mean 'fuzz'?" in capsys.readouterr().err
 

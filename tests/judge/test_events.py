@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from behavexplor.data.geometry import box_corners
-from behavexplor.judge.events import ViolationEvent, first_line_touch, recent, recent_decisions, violation_event
+from behavexplor.judge.events import ViolationEvent, first_line_touch, recent_decisions, violation_event
 from tests.judge.traces import driven, views
 
 
@@ -91,7 +91,7 @@ def test_an_ego_leaves_the_road_in_the_first_frame_that_says_so():
 def test_recent_frames_are_those_of_the_last_seconds_with_both_ends(frame, seconds, first):
     """0.9 - 0.3 is a little more than 0.6, which does not matter."""
     trace = driven(np.zeros((10, 4)))
-    assert recent(trace, frame, seconds).tolist() == list(range(first, frame + 1))
+    assert trace.recent(frame, seconds).tolist() == list(range(first, frame + 1))
 
 
 def test_recent_decisions_are_those_before_a_frame():

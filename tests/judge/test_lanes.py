@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 
 from behavexplor.data.trace import ELSEWHERE, OBSTACLE, ON_ITS_WAY, WAYS
-from behavexplor.judge.lanes import (
-    had_crashed,
-    has_entered_ring,
-    has_lane_signals,
-    has_other_names,
-    lane_change,
-    maneuver,
-    relation,
-)
+from behavexplor.judge.lanes import had_crashed, has_entered_ring, has_lane_signals, lane_change, maneuver, relation
 from tests.judge.traces import CAR, driven, views
 
 FRAMES = 41  # at 10 Hz
@@ -52,7 +44,6 @@ def test_only_a_trace_that_says_its_lanes_is_told_by_them():
     plain, told = driven(np.zeros((3, 4))), lanes()
     old = driven(np.zeros((3, 4)), signals={"crashed": np.zeros(3)})
     assert [has_lane_signals(one) for one in (plain, told, old)] == [False, True, False]
-    assert [has_other_names(one) for one in (plain, told, old)] == [False, False, True]
 
 
 @pytest.mark.parametrize(

@@ -180,8 +180,8 @@ def test_dashes_are_drawn_along_all_drives(executions):
 @pytest.mark.parametrize("name", ["strangers:package/road-v0", "CartPole-v1", "behavexplor/nowhere-v0", "../x"])
 def test_no_environment_of_others_is_made(name, executions, monkeypatch):
     monkeypatch.setattr(gymnasium, "make", lambda *_, **__: pytest.fail("made"))
-    assert known_road(name, NO_RUN) is None
-    values = road_values(None, [executions[0].load_trace()])
+    assert known_road(name, NO_RUN) == RoadShape(())
+    values = road_values(RoadShape(()), [executions[0].load_trace()])
     assert values["lanes"] == []
     assert values["lines"]
 

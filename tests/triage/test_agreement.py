@@ -2,7 +2,6 @@
 
 import pytest
 
-from behavexplor.errors import InputError
 from behavexplor.triage.signatures import agreement
 
 
@@ -22,9 +21,3 @@ def test_precision_is_of_what_is_named_and_recall_of_what_is_there():
     assert found.precision == pytest.approx((1 + 1 / 3) / 2)
     assert found.recall == pytest.approx((1 / 3 + 1) / 2)
     assert agreement(["a", "a", "b", "b"], ["b", "a", "b", "a"]).adjusted_rand == pytest.approx(-0.5)
-
-
-@pytest.mark.parametrize(("true", "given"), [([], []), (["a"], ["a", "b"])])
-def test_what_cannot_be_compared_is_refused(true, given):
-    with pytest.raises(InputError, match="one by one"):
-        agreement(true, given)

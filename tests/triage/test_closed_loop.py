@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from behavexplor.campaign.record import Record
+from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.trace import OBSTACLE, PARTNER
 from behavexplor.envs.making import make_env
 from behavexplor.execution.simulation import Simulation
@@ -15,7 +16,15 @@ from behavexplor.judge.specs import judge
 from behavexplor.triage import blame as blame_module
 from behavexplor.triage import closed_loop, examination
 from behavexplor.triage.blame import blame
-from behavexplor.triage.closed_loop import CONSTANT, RANDOM, OtherDrivers, ScriptedDriver, drive_again, find_driver
+from behavexplor.triage.closed_loop import (
+    CONSTANT,
+    RANDOM,
+    OtherDrivers,
+    ScriptedDriver,
+    drive_again,
+    find_driver,
+    last_chance,
+)
 from behavexplor.triage.findings import LastChance, witness_from, witness_values
 from tests.envs.highway import strange
 
@@ -29,7 +38,7 @@ def test_a_driver_that_does_not_crash_is_named(merging):
     scenario = merging.logical.sample(np.random.default_rng(1))
     trace = merging.run(scenario)
     assert trace.end == "collision"
-    driver, tried, found = find_driver(scenario, np.random.default_rng(0))
+    driver, tried, found = find_driver(scenario, None, None, np.random.default_rng(0))
     assert found == "preventable"
     assert driver.name == "careful"
     assert tried == 1 + len(CONSTANT) + RANDOM
@@ -43,6 +52,24 @@ def test_a_driver_that_does_not_crash_is_named(merging):
     assert again.actions[:, 0].tolist() == list(driver.actions)
 
 
+def test_where_all_others_crash_the_last_chance_of_the_ego_itself_is_driven(merging, monkeypatch):
+    scenario = merging.logical.sample(np.random.default_rng(1))
+    crash = merging.run_compiled(scenario)
+    monkeypatch.setattr(closed_loop, "_driven", lambda *_: [crash] * (1 + len(CONSTANT) + RANDOM))
+    chance = last_chance(merging, scenario, crash)
+    verdict = blame(merging, scenario, crash, np.random.default_rng(0), chance)
+    assert verdict.kind == "preventable"
+    assert verdict.witness.name == f"the last chance ({chance.saving[0]}, then always SLOWER)"
+    assert verdict.tried == 1 + len(CONSTANT) + RANDOM + len(CONSTANT) * len(chance.saving)
+    again = drive_again(scenario, verdict.witness)
+    assert not judge(again).failed
+    frame = crash.action_frame[-chance.back]
+    assert np.array_equal(again.position[: frame + 1, 0], crash.position[: frame + 1, 0])
+    assert again.actions[len(crash.actions) - chance.back, 0] == MANEUVERS.index(chance.saving[0])
+    elsewhere = replace(crash, position=crash.position + [0.0, 0.5])  # as if the ego drove on another road
+    assert find_driver(scenario, elsewhere, chance, np.random.default_rng(0)).answer == "unpreventable"
+
+
 def driven_by_others(monkeypatch, traces):
     """The witness of a scenario of the roundabout in which other drivers do what their traces say."""
     simulation = Simulation("roundabout-v0", "constant:SLOWER")
@@ -54,7 +81,7 @@ def driven_by_others(monkeypatch, traces):
     monkeypatch.setattr(
         closed_loop, "_driven", lambda *_: [*traces(waits, goes), *[waits] * (len(CONSTANT) + RANDOM - 1)]
     )
-    driver, _, found = find_driver(scenario, np.random.default_rng(0))
+    driver, _, found = find_driver(scenario, None, None, np.random.default_rng(0))
     return found if driver is None else driver.name
 
 
@@ -116,19 +143,19 @@ def test_actions_that_cannot_be_driven_are_refused(actions):
 
 def test_the_same_generator_gives_the_same_verdict(merging):
     scenario = merging.logical.sample(np.random.default_rng(2))
-    assert len({find_driver(scenario, np.random.default_rng(5)) for _ in range(2)}) == 1
+    assert len({find_driver(scenario, None, None, np.random.default_rng(5)) for _ in range(2)}) == 1
 
 
 def test_an_environment_without_meta_actions_has_no_witness():
     simulation = Simulation("racetrack-v0", f"{__name__}:Straight", env_config={"duration": 2})
     scenario = simulation.logical.sample(np.random.default_rng(0))
-    assert find_driver(scenario, np.random.default_rng(0)) == (None, 0, None)
+    assert find_driver(scenario, None, None, np.random.default_rng(0)) == (None, 0, None)
 
 
 def test_an_environment_that_shows_something_else_has_no_witness():
     env = make_env(strange.registered(strange.flattened), {})
     scenario = env.logical.sample(np.random.default_rng(0))
-    assert find_driver(scenario, np.random.default_rng(0)) == (None, 0, None)
+    assert find_driver(scenario, None, None, np.random.default_rng(0)) == (None, 0, None)
 
 
 class Straight:

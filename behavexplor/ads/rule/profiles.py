@@ -2,11 +2,12 @@
 
 `hardened` has no weakness. `apollo-like` has all sixteen, so mild that all failures together are about as rare as in
 the paper's experiments (docs/planner.md). It is frozen: its numbers do not change any more, so that results stay
-comparable. `apollo-held-back` is the same profile with every severity 30 % up or down, to check that a conclusion does
-not depend on the exact numbers. `apollo-easy` has all sixteen, so severe that failures occur at once. It is the
-default.
+comparable. `apollo-held-back` is the same profile with every severity 30 % up or down, but no share beyond its greatest
+value, to check that a conclusion does not depend on the exact numbers. `apollo-easy` has all sixteen, so severe that
+failures occur at once. It is the default.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -122,7 +123,7 @@ def variant_parameters(variant: str) -> dict[str, float]:
     Raises:
         InputError: if the profile or a weakness does not exist, or a weakness is already on or not on.
     """
-    profile, *changes = variant.replace("+", "\0+").replace("~", "\0~").split("\0")
+    profile, *changes = re.split(r"(?=[+~])", variant)  # before each sign
     if (profile or DEFAULT) not in PROFILES:
         raise unknown_name("profile of the rule planner", profile, PROFILES)
     base = PROFILES[profile or DEFAULT]

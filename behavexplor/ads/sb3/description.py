@@ -2,13 +2,13 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import yaml
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.network_file import Rule
@@ -17,7 +17,8 @@ from behavexplor.ads.sb3.highway_fit import HIGHWAY_ENVIRONMENTS
 from behavexplor.data.named_code import env_code
 from behavexplor.data.target import Activation
 from behavexplor.data.untrusted import parse_json, parse_yaml, read_file
-from behavexplor.errors import InputError, brief, unknown_name
+from behavexplor.data.validation import checked
+from behavexplor.errors import InputError, brief
 
 MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
 OWN: Final = (".yaml", ".yml")  # endings of the file with a model's settings beside it
@@ -61,7 +62,7 @@ class Description:
     simulation_frequency: int | None = None  # simulation steps per second [Hz]; None for the environment's own
     env: str | None = None  # name of the environment in which the policy was trained; None if unknown
     config: Mapping[str, Any] | None = None  # highway-env's configuration in training; None if unknown
-    frame_stack: int = 1  # number of observations stacked by `VecFrameStack`
+    frame_stack: Annotated[int, Field(ge=1)] = 1  # number of observations stacked by `VecFrameStack`
     # rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.choosing`; None for a policy
     # with observations and actions of highway-env
     decision: Rule | None = None
@@ -200,13 +201,10 @@ def _of_checkpoint(model: Path) -> Path:
 
 
 def _own(path: Path) -> Description:
-    values, known = _read(path), [one.name for one in fields(Description)]
-    for key in values:
-        if key not in known:
-            raise unknown_name(f"key of {path}", str(key), known)
+    values = _read(path)
     given = values.get("config")
     trained = {key: given[key] for key in ENVIRONMENT_KEYS if key in given} if isinstance(given, dict) else {}
-    description = _checked(path, {**trained, **values})
+    description = checked(Description, {**trained, **values}, f"settings in {path}")
     if description.statistics is None:
         return description
     statistics = path.parent / description.statistics
@@ -235,7 +233,7 @@ def _of_zoo(folder: Path, model: Path) -> Description:
     values |= {"env": arguments.get("env"), "config": config}
     values["frame_stack"] = settings.get("frame_stack") or 1
     values["statistics"] = statistics
-    return _checked(folder, values)
+    return checked(Description, values, f"settings in {folder}")
 
 
 def _of_rl_agents(path: Path) -> Description:
@@ -252,7 +250,8 @@ def _of_rl_agents(path: Path) -> Description:
         said["strides"] = [2, 2, 2]
     config = {key: value for key, value in env.items() if not key.startswith("__") and key not in _OF_SPEC}
     trained = {key: config[key] for key in ENVIRONMENT_KEYS if key in config}
-    return _checked(path, {**said, **trained, "env": env.get("id"), "config": config or None})
+    found = {**said, **trained, "env": env.get("id"), "config": config or None}
+    return checked(Description, found, f"settings in {path}")
 
 
 def _mapping(value: Any) -> dict[str, Any]:
@@ -264,19 +263,6 @@ def _wrapper_names(settings: Mapping[str, Any]) -> list[Any]:
     given = [settings.get("env_wrapper") or [], settings.get("vec_env_wrapper") or []]
     listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
     return [next(iter(one)) if isinstance(one, dict) and len(one) == 1 else one for one in listed]
-
-
-def _checked(path: Path, values: Mapping[str, Any]) -> Description:
-    """Make a description of values that were read from a file or folder."""
-    try:
-        description = TypeAdapter(Description).validate_python(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{place} in {path}: {first['msg']}, got {brief(first['input'])}") from None
-    if description.frame_stack < 1:
-        raise InputError(f"frame_stack in {path} must be at least 1, got {description.frame_stack}")
-    return description
 
 
 def _environment(arguments: Mapping[str, Any]) -> dict[str, Any]:

@@ -60,7 +60,7 @@ from behavexplor.envs.engine.state import NO_LANE, Records
 from behavexplor.envs.highway.course import LaneIndex, ego_route
 
 CURVE: Final = 0.5  # a road whose heading changes by more than this is a curve [rad]
-ALONG: Final = math.pi / 4  # greatest angle to the road of a vehicle that drives along it [rad]
+ALONG: Final = math.pi / 4  # two vehicles whose headings differ by less drive the same way, on straight roads [rad]
 _STATIONS: Final = 9  # at which the heading of a lane is read
 _WITH_BORDERS: Final = (HighwayEnv, MergeEnv, MergeGenericEnv, ExitEnv, RacetrackEnv)
 
@@ -335,7 +335,7 @@ def _beside(lanes: list[AbstractLane], ends: list[tuple[str, str]], number: Ints
 
 
 def _bend(lane: AbstractLane, following: AbstractLane) -> float:
-    """Return the angle from the end of a lane to the start of another [rad], which is half a turn where a road ends."""
+    """Return the angle from the end of a lane to the start of another [rad]: half a turn if that leads back."""
     return wrapped(following.heading_at(0.0) - lane.heading_at(lane.length))
 
 
@@ -356,8 +356,8 @@ def places(table: LaneTable, lane: Ints, target: Ints) -> Ints:
     road, driven = table.road[aim], table.road[lane]
     begins = np.append(0, 1 + np.flatnonzero(np.diff(road)))  # of the stretches in which it aims at one road
     begin = begins[np.searchsorted(begins, np.arange(len(road)), side="right") - 1]
-    is_left = (begin == 0) | (driven != road[begin - 1])
-    return np.where((road != driven) & is_left, aim, lane)
+    has_left = (begin == 0) | (driven != road[begin - 1])  # the road at which it aimed before
+    return np.where((road != driven) & has_left, aim, lane)
 
 
 def lane_changes(table: LaneTable, lane: Ints, target: Ints) -> Ints:

@@ -90,6 +90,7 @@ def test_weaknesses_are_added_and_taken():
     ("name", "message"),
     [
         ("rule:hardend", "did you mean 'hardened'"),
+        ("rule:hardened\0", "Unknown profile of the rule planner"),
         ("rule:hardened+R1-3x", "Unknown weakness of the rule planner 'R1-3x'"),
         ("rule:hardened~R1-2", "~R1-2: the weakness is not on"),
         ("rule:apollo-easy+R1-2", r"\+R1-2: the weakness is already on"),

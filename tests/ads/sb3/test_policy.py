@@ -680,8 +680,8 @@ def test_a_run_of_rl_zoo_says_what_its_policy_observes(tmp_path):
         ({"vec_env_wrapper": [{"mine.Scaled": {"by": 2}}]}, "trained in the wrapper .*mine.Scaled.*not supported"),
         ({"env_wrapper": [{"gymnasium.wrappers.TimeLimit": {}}, "mine.Scaled"]}, "the wrapper 'mine.Scaled'"),
         ({"normalize": True}, r"observations were normalized, but vecnormalize\.pkl is missing"),
-        ({"frame_stack": "many"}, "frame_stack in .*valid integer"),
-        ({"frame_stack": -2}, "must be at least 1"),
+        ({"frame_stack": "many"}, "frame_stack of .*valid integer"),
+        ({"frame_stack": -2}, "greater than or equal to 1"),
     ],
 )
 def test_a_run_of_rl_zoo_that_cannot_be_repeated_is_refused(settings, message, tmp_path, ppo):
@@ -707,7 +707,7 @@ def test_a_run_of_rl_zoo_may_have_wrappers_that_change_no_decision(settings, tmp
         ("frame_stak: 2", "did you mean 'frame_stack'"),
         ("memory_limit: 1", "known are about, action, activation, "),
         ("__pydantic_config__: 1", "Unknown key of"),
-        ("frame_stack: 0", "at least 1"),
+        ("frame_stack: 0", "greater than or equal to 1"),
         ("policy_frequency: fast", "policy_frequency"),
         ("statistics: gone.pkl", r"gone\.pkl, which does not exist"),
         ("- 1", "must contain keys and values"),
