@@ -100,8 +100,8 @@ def opened(
             warnings = check_ads(executor, meanwhile=load_analysis) + _warnings_of_idle_workers(config, workers)
         logical = logical or logical_of_target(executor, config.env)
         search = search or search_method(config, logical)
-        if not resume and (warning := remember(own)) is not None:
-            warnings.append(warning)
+        if not resume:
+            remember(own)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
         check_identity(store, identity)

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import stat
+import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -175,18 +176,17 @@ def own_digests(claim: Claim) -> tuple[str, ...]:
     return tuple(claim.digests(claim.code, [one for one in claim.code if one.key != ADS])[1])
 
 
-def remember(digests: Iterable[str]) -> str | None:
+def remember(digests: Iterable[str]) -> None:
     """Write durably that a folder is this machine's, before the folder can be found, so that it can be continued.
 
-    Return a warning if that is not possible.
+    Warn if that is not possible.
     """
     try:
         for digest in dict.fromkeys(digests):
             add_own(digest)
     except OSError as error:
-        reason = error.strerror or error
-        return f"{list_path()} cannot be written ({reason}), so to continue here, the folder will have to be trusted"
-    return None
+        why = f"{list_path()} cannot be written ({error.strerror or error})"
+        warnings.warn(f"{why}, so to continue here, the folder will have to be trusted", stacklevel=3)
 
 
 def _named_by(modules: Mapping[str, str], code: Iterable[Code]) -> dict[str, str]:

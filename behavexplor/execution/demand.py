@@ -57,7 +57,7 @@ class Demand:
 
 
 class AwaitedFuture(Future[Any]):
-    """A future that measures how long the caller waits for its result, for the measured demand of all."""
+    """A future whose `demand`, which it shares with all others, measures how long the caller waits for its result."""
 
     def __init__(self, demand: Demand) -> None:
         super().__init__()

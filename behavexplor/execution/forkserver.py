@@ -49,5 +49,5 @@ def slow_modules(env: str, ads: str) -> tuple[str, ...]:
     """Return the slow modules of an environment and a driving system."""
     entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(env, "behavexplor.envs.highway.drawn_vector_env")
     policy = ("behavexplor.ads.sb3.policy",) if is_policy(ads) and not ads.endswith(".npz") else ()
-    lazy = "behavexplor.execution.lazy_imports"  # after PyTorch, which looks into all modules and so loads them
+    lazy = "behavexplor.execution.lazy_imports"  # after PyTorch, which looks into all modules and would load lazy ones
     return *policy, lazy, entry_point.partition(":")[0]

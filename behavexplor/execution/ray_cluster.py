@@ -116,14 +116,14 @@ class _Call(NamedTuple):
 class RayExecutor(Executor):
     """Calls functions of a service on the nodes of a Ray cluster. Each node has a supervised worker of its own.
 
-    `cluster` is a name for `parse_cluster`, `nodes` their number (0: one for each core), `recipe` and `limits` those of
-    each worker. If there is room for fewer nodes, the others begin when there is. The service must have the function
-    "fingerprint". The driving systems of the names `ads` must be equal on all machines.
+    `cluster` is a name as in `parse_cluster`, and `nodes` is the number of nodes (0: one for each core). Each worker is
+    made by `recipe`, within `limits`. If there is room for fewer nodes, the others begin when there is. The service
+    must have the function "fingerprint". The driving systems of the names `ads` must be equal on all machines.
 
     Raises:
         InputError: if there is no such cluster, if Ray is not installed, or if the first node to answer cannot load the
             ADS or the environment, or would not reproduce this machine's results.
-        ClusterError: if no node can begin.
+        ClusterError: if the first node to answer cannot begin, or none answers in time.
     """
 
     def __init__(self, cluster: str, nodes: int, recipe: Recipe, limits: Limits, ads: tuple[str, ...]) -> None:
@@ -304,6 +304,6 @@ def _ray_in_cluster(address: str, nodes: int) -> Any:
 
 
 def _cluster_error(what: str, error: BaseException) -> ClusterError:
-    """Return the error with one of Ray's as its cause in one line: its type, and its last line, which says most."""
+    """Return an error in one line: what failed, the type of Ray's own error, and its last line, which says most."""
     last = str(error).strip().rpartition("\n")[2].strip()
     return ClusterError(f"{what}: {type(error).__name__}: {last}")

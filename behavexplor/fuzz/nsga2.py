@@ -28,7 +28,7 @@ class NSGA2Options:
 
     population: Annotated[int, between(4, MAX_POPULATION)] = 20  # number of individuals in a generation
     crossover_probability: Annotated[float, between(0, 1)] = 0.9  # probability of simulated binary crossover
-    crossover_eta: Annotated[float, between(0)] = 15.0  # a greater index makes offspring resemble their parents more
+    crossover_eta: Annotated[float, between(0)] = 15.0  # distribution index; greater ones keep offspring near parents
     mutation_eta: Annotated[float, between(0)] = 20.0  # distribution index of polynomial mutation
 
 
@@ -86,7 +86,7 @@ class NSGA2:
         self._queue.extend((generation, index) for index in range(len(generation.vectors)))
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Set the objectives, one for each spec, of an individual, and end its generation if it was the last one."""
+        """Set and return an individual's `objectives`, one for each spec. End its generation if it was the last one."""
         generation, index = self._in_flight.pop(candidate.number)
         generation.vectors[index] = self._asker.told(candidate)
         generation.values[index] = objectives(verdict)

@@ -41,7 +41,7 @@ class RetrainingConfig:
         policy: The policy: "learned:NAME", the file of a network that `train` made, or a model of Stable-Baselines3.
         pool: Scenarios in which the policy fails, to be mixed in: none; own, those of its training; found, those that
             campaigns find; or both.
-        share: Probability that the scenario of an episode comes from this pool.
+        share: Probability that the scenario of an episode comes from this pool; lower for fewer than 100 scenarios.
         rounds: Number of rounds. Each trains and validates; with --pool found or both, a search comes first.
         steps: Number of decisions in a round, including those of the campaign, but not those that train a new critic or
             fill a replay buffer.
@@ -80,7 +80,7 @@ class RetrainingConfig:
 
     @property
     def claim(self) -> Claim:
-        """The part of the configuration that may have code run. A policy's file is read without running code."""
+        """What the configuration says that may have code run. A policy's file is read without running code."""
         code = code_of(self.env, "", self.method if self.searches else "", (), self.env_config)
         return Claim(Path(CONFIG), asdict(self), code)
 

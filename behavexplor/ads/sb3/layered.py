@@ -16,11 +16,11 @@ class Parts:
     trunk: torch.nn.Sequential  # layers that the heads share
     # layers from there to the values of the actions, to their logits, or to the mean of a normal distribution
     head: torch.nn.Sequential
-    # layers from there to the value of a duelling network; None for any other one
+    # layers from there to the value of a dueling network; None for any other one
     value: torch.nn.Sequential | None = None
-    # logarithms of the standard deviations, shape (numbers of an action,); None without
+    # logarithms of the standard deviations, shape (numbers of an action,); None if the policy has none
     log_std: torch.Tensor | None = None
-    draws: bool = False  # whether the outputs of the head are logits
+    draws: bool = False  # whether the outputs of the head are logits, so that discrete actions can be drawn
 
 
 class LayeredPolicy(BasePolicy):
@@ -44,7 +44,7 @@ class LayeredPolicy(BasePolicy):
 
     @property
     def chain(self) -> tuple[torch.nn.Module, ...]:
-        """The layers in their order, if one line of dense ones leads to actions; none otherwise."""
+        """The layers in their order, if they are a single line of dense ones and nothing squashes; none otherwise."""
         layers = (*self.trunk, *self.head)
         is_line = self.value_head is None and not self.squash_output
         return layers if is_line and not any(isinstance(one, torch.nn.Conv2d) for one in layers) else ()
@@ -58,7 +58,7 @@ class LayeredPolicy(BasePolicy):
         return outputs
 
     def get_distribution(self, observation: torch.Tensor) -> Distribution:
-        """Return the distribution of the actions, which can be drawn."""
+        """Return the distribution of the actions. `action_dist` must not be None."""
         distribution: Any = self.action_dist
         given = () if isinstance(distribution, CategoricalDistribution) else (self.log_std,)
         made: Distribution = distribution.proba_distribution(self(observation), *given)

@@ -66,8 +66,8 @@ def policy_of(model: BaseAlgorithm) -> SB3Policy:
     environment. A warning names each other wrapper that may change what the policy observes or does.
 
     Raises:
-        InputError: if the environment has a wrapper that is known to change them, and is not applied in a campaign, or
-            two of a kind; or if weights are not finite.
+        InputError: if the environment has a wrapper that is known to change them, and is not applied in a campaign; if
+            it has two `VecFrameStack`, or two `VecNormalize` for observations; or if weights are not finite.
     """
     wrappers = list(_wrappers(model.get_env()))
     _check_wrappers([*wrappers, *_single_wrappers(model.get_env())])
@@ -159,7 +159,7 @@ def _single_wrappers(env: VecEnv | None) -> Iterator[gymnasium.Wrapper[Any, Any,
 def _check_wrappers(wrappers: Iterable[Any]) -> None:
     """Refuse wrappers that change what the policy observes or does, and warn of those that may."""
     for wrapper in wrappers:
-        if isinstance(wrapper, _KNOWN):
+        if isinstance(wrapper, _KNOWN) and getattr(wrapper, "padding_type", "reset") == "reset":
             continue
         applied = f"The model was trained in the wrapper {type(wrapper).__name__}, which is not applied in a campaign"
         if isinstance(wrapper, _CHANGING):

@@ -230,8 +230,13 @@ def _last_observations(settings: Mapping[str, Any]) -> Observation | None:
 def _check_statistics(name: str, statistics: Statistics, space: gymnasium.Space[Any]) -> None:
     """Check that the statistics of a file belong to a policy's observations."""
     shapes, expected = _shapes(statistics, space)
-    if shapes != expected:
-        raise InputError(f"{name} has statistics for observations of shape {shapes}, the policy's have {expected}")
+    if shapes == expected:
+        return
+    is_alike = isinstance(shapes, tuple) and isinstance(expected, tuple) and shapes[:-1] == expected[:-1]
+    hint = ""
+    if is_alike and shapes and expected[-1] % shapes[-1] == 0:
+        hint = f": if they are stacked, say `frame_stack: {expected[-1] // shapes[-1]}` in a YAML file beside the model"
+    raise InputError(f"{name} has statistics for observations of shape {shapes}, the policy's have {expected}{hint}")
 
 
 def _shapes(statistics: Statistics, space: gymnasium.Space[Any]) -> tuple[Any, Any]:

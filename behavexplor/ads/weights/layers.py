@@ -70,7 +70,7 @@ class ActingNetwork:
     name: str  # its place in the file, such as "q_net"; empty for all of the file
     trunk: tuple[Layer, ...]  # layers that its heads share
     head: tuple[Layer, ...]  # layers from there to the actions
-    value: tuple[Layer, ...] = ()  # layers from there to the value of a duelling network; none in any other one
+    value: tuple[Layer, ...] = ()  # layers from there to the value of a dueling network; none in any other one
     deviation: tuple[Layer, ...] = ()  # layers from there to the logarithms of standard deviations; none without
     log_std: Array | None = None  # logarithms of standard deviations that no observation changes; None without
     output: Output | None = None  # what its last layer gives, as far as names tell; None if unknown

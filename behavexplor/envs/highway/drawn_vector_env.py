@@ -135,12 +135,12 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
         self, mask: Bools, scenarios: Mapping[int, DrawnScenario], order: Sequence[DrawPlace]
     ) -> tuple[Array, dict[str, Any]]:
         """Begin episodes in the engine with the draws of scenarios, in their order."""
-        if not self.short_traces:
-            for scenario in scenarios.values():
-                self.logical.check(scenario)
+        recorded = [] if self.short_traces else list(scenarios)
+        for b in recorded:  # scenarios of episodes that are only counted are not checked
+            self.logical.check(scenarios[b])
         draws = {b: forms_of(scenario, order) for b, scenario in scenarios.items()}
         begun = self.engine.reset(options={"reset_mask": mask, "draws": draws})
-        for b in () if self.short_traces else scenarios:
+        for b in recorded:
             state = self.engine.state(b)
             self._records[b] = EpisodeRecord(self._env.inner, state.ego_route(self._networks[b]))
             self._records[b].sizes.update(state.sizes())

@@ -254,6 +254,11 @@ def test_observations_are_prepared_as_in_training(stack, tmp_path):
     model = make_model("PPO", env.observation_space)
     model.save(tmp_path / "model")
     statistics.save(str(tmp_path / "vecnormalize.pkl"))
+    if stack > 1:
+        with pytest.raises(
+            InputError, match=r"shape \(7, 5\), the policy's have \(7, 15\): .* say `frame_stack: 3` in"
+        ):
+            load_policy(tmp_path / "model.zip")
     (tmp_path / "model.yaml").write_text(f"frame_stack: {stack}\n")
     policy = load_policy(tmp_path / "model.zip")
     prepared = env.reset()

@@ -97,10 +97,14 @@ def test_frames_that_are_flattened_must_be_said(tmp_path):
     assert any("(5, 5) are flattened for the policy" in one for one in preflight_warnings(simulation))
 
 
-def test_a_model_in_memory_is_flattened_and_stacked():
+def test_a_model_in_memory_is_flattened_and_stacked(caplog):
     for wrapped in (FlattenObservation, lambda env: FrameStackObservation(env, 2)):
         model = PPO("MlpPolicy", wrapped(gymnasium.make("highway-fast-v0")), n_steps=8, batch_size=8, device="cpu")
         Simulation("highway-fast-v0", policy_of(model))
+    assert not caplog.text
+    padded = FrameStackObservation(gymnasium.make("highway-fast-v0"), 2, padding_type="zero")
+    policy_of(PPO("MlpPolicy", padded, n_steps=8, batch_size=8, device="cpu"))
+    assert "the wrapper FrameStackObservation, which is not applied" in caplog.text  # here, the first frame is repeated
 
 
 WRAPPERS = """

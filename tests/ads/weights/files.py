@@ -48,7 +48,7 @@ class OfCleanRL(nn.Module):
         return self.network(seen.flatten(1))
 
 
-class Duelling(nn.Module):
+class Dueling(nn.Module):
     def __init__(self):
         super().__init__()
         self.feature = nn.Sequential(nn.Linear(25, 64), nn.ReLU())
@@ -157,7 +157,7 @@ RELU, TANH = {"activation": "relu"}, {"activation": "tanh"}
 FORMS = {
     "tutorial": Form(Tutorial, settings=RELU),
     "cleanrl": Form(OfCleanRL, settings=RELU, name="dqn.cleanrl_model"),
-    "duelling": Form(Duelling, settings=RELU, name="weights.pt"),
+    "dueling": Form(Dueling, settings=RELU, name="weights.pt"),
     "actor-critic": Form(ActorCritic, settings=TANH),
     "checkpoint": Form(Tutorial, checkpoint, RELU, name="checkpoint.pth"),
     "safetensors": Form(Tutorial, settings=RELU, name="weights.safetensors"),

@@ -75,7 +75,7 @@ def test_logits_are_drawn_by_their_probabilities_and_values_are_not_drawn(tmp_pa
     with torch.no_grad():
         expected = network(torch.from_numpy(observation)).softmax(1)[0].numpy()
     np.testing.assert_allclose(np.bincount(drawn, minlength=5) / 20_000, expected, atol=0.02)
-    assert load_weights(write(FORMS["duelling"], tmp_path)[0]).seeing(KINEMATICS, META).noise == 0
+    assert load_weights(write(FORMS["dueling"], tmp_path)[0]).seeing(KINEMATICS, META).noise == 0
 
 
 def test_a_flag_says_the_function(tmp_path):
