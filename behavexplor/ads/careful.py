@@ -46,7 +46,7 @@ class CarefulDriver:
     )
 
     def fitted(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the configuration in which this driver drives, made of the environment's own."""
+        """Return the configuration in which this driver drives, made from `config`, the environment's own."""
         return {**with_meta_actions(config), "observation": dict(self._OBSERVATION)}
 
     def predict(

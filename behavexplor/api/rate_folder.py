@@ -139,6 +139,6 @@ def impact(trace: Trace) -> float:
 
 
 def _rate(found: Evaluation, outcome: str, alpha: float) -> dict[str, float | None]:
-    """Return a rate with its interval, which does not hold if the evaluation ended at a decision."""
+    """Return count, rate and interval of an outcome. The interval is None if the evaluation ended at a decision."""
     low, high = found.interval(outcome, alpha) if found.decision is None else (None, None)
     return {"count": found.count(outcome), "rate": found.rate(outcome), "low": low, "high": high}

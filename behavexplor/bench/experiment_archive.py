@@ -44,7 +44,7 @@ def read_archive(runs: Sequence[PlannedRun], root: Path) -> Archive:
         what = f"{_key(run)} in {root / ARCHIVE}"
         stored = campaign_config(line["config"])
         check_same_campaign(stored, run, what)
-        if int(stored.budget) > int(run.config.budget):
+        if not stored.budget.isdecimal() or int(stored.budget) > int(run.config.budget):
             raise InputError(
                 f"{what} has a budget of {stored.budget} executions, and the experiment one of {run.config.budget}: "
                 "choose another --out"
@@ -64,8 +64,8 @@ def write_archive(summaries: Archive, root: Path) -> None:
     path = root / ARCHIVE
     lines = _read_lines(path)
     for run, summary in summaries.items():
-        lines[_key(run)] = {"run": _key(run), "config": asdict(run.config), "summary": asdict(summary)}
-    text = "".join(f"{json.dumps(line)}\n" for _, line in sorted(lines.items()))
+        lines[_key(run)] = {"config": asdict(run.config), "summary": asdict(summary)}
+    text = "".join(f"{json.dumps({'run': name, **line})}\n" for name, line in sorted(lines.items()))
     write_durably(path, gzip.compress(text.encode(), mtime=0))
 
 
@@ -79,6 +79,6 @@ def _read_lines(path: Path) -> dict[str, dict[str, Any]]:
         return {}
     try:
         lines = [json.loads(line) for line in decompressed(read_file(path)).decode().splitlines()]
-        return {line["run"]: {name: line[name] for name in ("run", "config", "summary")} for line in lines}
+        return {line["run"]: {name: dict(line[name]) for name in ("config", "summary")} for line in lines}
     except (OSError, ValueError, KeyError, TypeError, zlib.error) as error:
         raise InputError(f"{path} is damaged ({error}): restore it, or delete it to run its campaigns again") from None

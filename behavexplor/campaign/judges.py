@@ -1,8 +1,8 @@
 """Judges: processes that judge the traces of a long campaign with workers.
 
-They never load a driver. What they say depends on a trace alone, so a campaign's records do not depend on whether,
-where and in which company a trace was judged. Only long campaigns have them, because a process takes as long to start
-as to judge some hundred traces.
+They never load a driver. What they say depends on a trace alone. So a campaign's records do not depend on whether a
+judge or the campaign itself judged a trace, in which process, and together with which others. Only long campaigns have
+them, because a process takes as long to start as to judge some hundred traces.
 """
 
 import json

@@ -160,7 +160,8 @@ def _wrong_value(box: str) -> str:
     text = " ".join(line.strip("\N{BOX DRAWINGS LIGHT VERTICAL} ") for line in box.splitlines())
     if found := _VALUE.search(text):
         name = found[1].strip("[]. ")
-        return found[2] if name.islower() and not name.startswith("-") else f"{name} {found[2]}"  # of several flags
+        is_internal = name.islower() and not name.startswith("-")  # of the function that takes a group of flags
+        return found[2] if is_internal else f"{name} {found[2]}"
     if found := _CHOICE.search(text):
         known = ", ".join(sorted(re.findall(r"'(.*?)'", found[3])))
         return f"{found[2]} {found[1]} must be one of {known}"

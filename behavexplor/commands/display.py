@@ -212,7 +212,8 @@ class Meter:
         self._console = PlainConsole(file=stream, quiet=quiet)
         self._total, self._things = total, things
         self._begin = self._last_line = time.monotonic()
-        names, text = (TextColumn(field, markup=False) for field in ("{task.fields[things]}", "{task.description}"))
+        names = TextColumn("{task.fields[things]}", markup=False)
+        text = TextColumn("{task.description}", markup=False)
         columns = (BarColumn(), MofNCompleteColumn(), names, TimeRemainingColumn(), text)
         shows_bar = self._console.is_terminal and not quiet
         self._bar = ProgressBar(*columns, console=self._console) if shows_bar else None
@@ -241,7 +242,7 @@ class Meter:
             self._bar.update(self._task, completed=done, description=printable(text))
         elif time.monotonic() - self._last_line >= LINE_SECONDS:
             self._last_line = time.monotonic()
-            left = max(self._total / done - 1, 0.0) if done else 0.0  # a training may do more than its total
-            about = f", about {clock(left * (self._last_line - self._begin))} left" if done else ""
+            remaining = max(self._total - done, 0)  # a training may do more than its total
+            about = f", about {clock((self._last_line - self._begin) * remaining / done)} left" if done else ""
             line = f"{done} of {self._total} {self._things}{about}  {text}"
             self._console.print(line.rstrip(), soft_wrap=True)

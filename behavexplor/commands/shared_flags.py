@@ -41,7 +41,7 @@ _METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
     int: "N",
     int | None: "N",
 }
-_SINGULAR: Final = {"specs": "spec"}  # flags that are given several times
+_SINGULAR: Final = {"specs": "spec"}  # names of flags that differ from their fields, which are plural
 WAITING: Final = "Loading the driver; first-time compilation can take a minute ..."
 
 

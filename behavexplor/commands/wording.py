@@ -34,7 +34,7 @@ def wrapped(text: str) -> str:
 def hanging(first: str, text: str) -> str:
     """Return a text that begins beside a first column, and stays right of it on as many lines as it needs.
 
-    A word that is longer than a line, such as the id of a class, is broken behind slashes.
+    A word that is longer than a line, such as the id of a class, is broken after slashes.
     """
     room = min(shutil.get_terminal_size().columns, WIDEST) - len(first)
     lines = [""]

@@ -66,7 +66,7 @@ def point_box_distance(point: Floats, position: Floats, heading: Floats, size: F
 
 
 def box_distance(a: Floats, b: Floats) -> Floats:
-    """Compute the shortest distances between boxes, shape (...) [m]; 0 if they touch.
+    """Compute the shortest distances between boxes, shape (...) [m]; 0 if they touch or overlap.
 
     Boxes are given by their corners, shape (..., 4, 2) [m].
     """

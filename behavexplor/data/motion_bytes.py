@@ -35,7 +35,7 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     """Return the motion that `pack_motion` packed with this resolution, read-only, shape (T, ...) with T = `frames`.
 
     Raises:
-        InputError: if the bytes have another shape.
+        InputError: if the bytes have another shape, or stand for more than `MOST_VALUES`.
     """
     is_packed = planes.dtype == np.uint8 and planes.ndim >= 2 and 1 <= len(planes) <= 8 and planes.shape[-1] == frames
     if not is_packed:

@@ -1,7 +1,8 @@
-"""Names in data by which code would be imported. Data may come from anyone, so these names are checked before.
+"""Names in data by which code would be imported. Data may come from anyone, so names are checked before an import.
 
-A configuration, the file beside a model, a recorded scenario and a scene name environments, and configurations of
-highway-env name classes of vehicles. Names of this package and of highway-env bring no code of anyone else.
+Configurations name drivers, methods, specs and environments. The files beside models, recorded scenarios and scenes
+name environments, too, and configurations of highway-env name classes of vehicles. Names of this package and of
+highway-env bring no code of anyone else.
 """
 
 from collections.abc import Mapping

@@ -39,7 +39,7 @@ class RoadShape:
 
     @property
     def n_points(self) -> int:
-        """Number of points and dashes."""
+        """Number of points, and about the number of dashes."""
         lengths = (np.hypot(*np.diff(line, axis=0).T).sum() for line in self.striped)
         return sum(len(line) for line in (*self.surfaces, *self.striped, *self.borders)) + int(sum(lengths) / PERIOD)
 
@@ -91,7 +91,7 @@ def _line(name: str, points: Any) -> Floats:
     except (TypeError, ValueError):
         line = np.zeros(0)
     if line.ndim != 2 or line.shape[1] != 2 or len(line) < 2 or not (np.abs(line) <= FARTHEST).all():
-        raise InputError(f"{name} of the shape of a road must be lines of at least two points")
+        raise InputError(f"{name} of the shape of a road must be lines of at least two points within {FARTHEST:g} m")
     return line
 
 

@@ -1,9 +1,9 @@
 """The functional scenarios S1 to S4 as gymnasium environments, each with its vector environment.
 
-To add a scenario, add its logical scenario to `behavexplor.envs.logical_scenarios`, a subclass of `DrivingEnv` that is
-named after it here, and its name to `behavexplor.FUNCTIONAL_SCENARIOS`: `lane-follow` is `LaneFollowEnv` with
-`LaneFollowVectorEnv`, and is registered as `behavexplor/lane-follow-v0`. Campaigns know the logical scenario without
-importing the simulator, and begin a second earlier.
+To add a scenario, add its logical scenario to `behavexplor.envs.logical_scenarios.LOGICAL_SCENARIOS`, two classes that
+are named after it here, and its name to `behavexplor.FUNCTIONAL_SCENARIOS`: `lane-follow` has `LaneFollowEnv` and
+`LaneFollowVectorEnv`, and is registered as `behavexplor/lane-follow-v0`. Because campaigns find the logical scenario
+there, they need not import the simulator, which would take them a second.
 """
 
 from behavexplor.envs.driving import DrivingEnv

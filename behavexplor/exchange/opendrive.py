@@ -288,7 +288,7 @@ def _plan_view(lane: Lane) -> Any:
 
 
 class _Cubic(xodr.ParamPoly3):  # type: ignore[misc]  # the library has no types
-    """A parametric cubic whose length is never longer than its arc, where readers would find no point."""
+    """A parametric cubic whose stated length never exceeds that of its arc: beyond it, readers would find no point."""
 
     def get_end_data(self, x: float, y: float, h: float) -> tuple[float, float, float, float]:
         """Return the end of a cubic that starts at a pose: x [m], y [m], heading [rad], and its length [m]."""

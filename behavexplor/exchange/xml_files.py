@@ -31,7 +31,7 @@ def read_xml(path: Path) -> Element:
         root = etree.fromstring(data, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
         said = getattr(error, "msg", error)
-        raise InputError(f"{path} cannot be read as XML, as `export` writes it without --format csv: {said}") from None
+        raise InputError(f"{path} cannot be read as XML, which `export` writes without --format csv: {said}") from None
     if next(root.iter(etree.Entity), None) is not None:
         raise InputError(f"{path} has entities of its own, which are not read")
     return root

@@ -21,7 +21,7 @@ METHODS = MappingProxyType(
         "uniform": "behavexplor.fuzz.uniform:Uniform",
     }
 )
-GIVEN: Final = "behavexplor.fuzz.given:Given"  # no search, see there
+GIVEN: Final = "behavexplor.fuzz.given:Given"  # executes the scenarios of a file, and searches nothing
 SHIPPED: Final = frozenset({*METHODS, *METHODS.values(), GIVEN})
 
 

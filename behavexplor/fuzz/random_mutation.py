@@ -20,11 +20,11 @@ class RandomMutationOptions:
     # probability that a mutant that passed becomes a testcase. The paper does not state it. With 0, only initial
     # scenarios are ever mutated. With 1, every mutant that passed becomes a testcase.
     keep_probability: Annotated[float, between(0, 1)] = 0.5
-    npc_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon, that an NPC stays as is
+    # epsilon, the probability that an NPC stays unchanged
+    npc_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
     sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0  # standard deviation of waypoint mutation [m/s]
-    # in highway-env environments, the standard deviation of the small mutation of a draw, as a share of the draw's
-    # range
+    # in highway-env environments, standard deviation of the small mutation of a draw, as a share of the draw's range
     sigma_draw: Annotated[float, between(MIN_SIGMA, 1)] = 0.1
 
 

@@ -41,7 +41,7 @@ class Candidate:
 
 
 class UniformCandidate(Candidate):
-    """A uniform candidate, whose scenario is drawn when it is asked for.
+    """A uniform candidate, whose scenario is drawn when `scenario` is first read.
 
     Workers can draw it as well: it is the `sample` of the logical scenario by `draws(seed, number)`.
 
@@ -107,7 +107,7 @@ class SearchMethod(Protocol):
 
 
 class WithoutLearning:
-    """The part that methods share that learn nothing: no result changes any candidate."""
+    """The common part of methods that learn nothing: no result changes any candidate."""
 
     foreseen = sys.maxsize  # see `SearchMethod`
 

@@ -74,9 +74,7 @@ class Asker:
         """
         scenario = self.encoding.decode(vector)
         for _ in range(_ATTEMPTS):
-            known = len(self._asked)
-            self._asked.add(scenario)
-            if len(self._asked) > known:  # it is new; to ask for it by `in` would hash it twice
+            if scenario not in self._asked:
                 break
             blocks = vector.reshape(self.encoding.n_blocks, -1).copy()
             blocks[rng.integers(len(blocks))] = rng.random(self.encoding.n_genes)
@@ -86,6 +84,7 @@ class Asker:
             raise InputError(f"No new scenario in {_ATTEMPTS} attempts: the search space is exhausted")
         number = self._number
         self._number += 1
+        self._asked.add(scenario)
         self._in_flight[number] = vector = self.encoding.encode(scenario)
         self._vectors.append(vector)
         return Candidate(number, scenario, origin, parent)

@@ -50,7 +50,7 @@ def has_entered_ring(trace: Trace, frame: int, seconds: float) -> bool:
 
 
 def maneuver(trace: Trace, frame: int, after: float) -> str:
-    """Return what the ego did in the last `BEFORE` up to a frame in a highway-env environment.
+    """Return what the ego did in the last `BEFORE` seconds up to a frame in a highway-env environment.
 
     An earlier lane change, in the last `after` [s], is named as one that has ended.
     """
@@ -71,7 +71,7 @@ def had_crashed(trace: Trace, frame: int, npc: int) -> bool:
 
 
 def relation(trace: Trace, frame: int, npc: int) -> str:
-    """Return what the partner of a crash is, or where it was `BEFORE` the crash or when it appeared after that."""
+    """Return what the other vehicle is, or where it was `BEFORE` the frame, or where it appeared if that was later."""
     where = trace.signals[PARTNER] if npc == trace.partner else np.full(len(trace.time), ELSEWHERE)
     if where[frame] == OBSTACLE:
         return "obstacle"
@@ -96,7 +96,7 @@ def _seen_from(trace: Trace, frame: int, npc: int, turned: float = 0.0) -> tuple
 
 
 def _on_another_road(trace: Trace, frame: int, npc: int) -> str:
-    """Return how a vehicle on another road moves: as the headings say."""
+    """Return where a vehicle on another road is or comes from: by the headings, or by its place if they are alike."""
     turned = wrapped(trace.heading[frame, npc] - trace.heading[frame, 0])
     if abs(turned) > ONCOMING:
         return "oncoming"

@@ -39,7 +39,7 @@ def check_outcome(name: str) -> None:
 def clopper_pearson(failed: int, n: int, alpha: float = ALPHA) -> tuple[float, float]:
     """Return the exact interval of a rate for a number n >= 1 of scenarios that was fixed before.
 
-    It may miss the rate with the probability alpha.
+    It misses the rate with a probability of at most alpha.
     """
     found = scipy.stats.binomtest(failed, n).proportion_ci(1.0 - alpha, "exact")
     return float(found.low), float(found.high)
@@ -49,9 +49,9 @@ def clopper_pearson(failed: int, n: int, alpha: float = ALPHA) -> tuple[float, f
 class RateSequence:
     """Robbins' mixture: intervals of a rate that are valid at all times together.
 
-    A rate p is kept at a time if B(k + a, n - k + b) / B(a, b) / (p^k (1 - p)^(n - k)) < 1 / alpha, with k failures in
-    n scenarios. Under the true rate, this ratio is a martingale, and exceeds 1 / alpha at any time with a probability
-    of at most alpha (Ville's inequality). The prior, a beta distribution, decides where the intervals are narrow.
+    After k failures in n scenarios, a rate p is kept if B(k + a, n - k + b) / B(a, b) / (p^k (1 - p)^(n - k)) is less
+    than 1 / alpha. Under the true rate, this ratio is a martingale, and ever reaches 1 / alpha with a probability of at
+    most alpha (Ville's inequality). The prior, a beta distribution, decides where the intervals are narrow.
     """
 
     a: float = 0.5  # first parameter of the prior
@@ -60,7 +60,7 @@ class RateSequence:
 
     @classmethod
     def for_rate(cls, rate: float, alpha: float = ALPHA) -> Self:
-        """Return the sequence that soonest shows a rate to be below this one, if nothing fails."""
+        """Return a sequence that soon shows a rate to be below this one, if hardly anything fails."""
         return cls(b=1.0 / (3.0 * rate), alpha=alpha)
 
     def excludes(self, rate: Any, failed: Any, n: Any) -> Any:
@@ -70,7 +70,7 @@ class RateSequence:
         return mixture - failed * np.log(rate) - passed * np.log1p(-np.asarray(rate)) >= -math.log(self.alpha)
 
     def interval(self, failed: int, n: int) -> tuple[float, float]:
-        """Return the rates that are not excluded at a time, as an interval."""
+        """Return the interval of the rates that are not excluded after `failed` failures in n scenarios."""
         if n == 0:
             return 0.0, 1.0
         middle = min(max(failed / n, _EDGE), 1.0 - _EDGE)
@@ -79,7 +79,7 @@ class RateSequence:
     def _end(self, outside: float, inside: float, failed: int, n: int) -> float:
         """Return the end of the interval between a rate that may be excluded and one that is not."""
         if not self.excludes(outside, failed, n):
-            return round(outside)
+            return round(outside)  # 0 or 1: no rate on this side is excluded
         for _ in range(60):
             middle = (outside + inside) / 2
             outside, inside = (middle, inside) if self.excludes(middle, failed, n) else (outside, middle)
@@ -117,14 +117,14 @@ class Goal:
 
 @dataclass(frozen=True)
 class Decision:
-    """What an evaluation has found out of the rate of an outcome. It is valid whenever the evaluation ended."""
+    """What an evaluation has found out about the rate of an outcome. It is valid whenever the evaluation ended."""
 
     goal: Goal
     n: int  # number of scenarios
-    count: int  # number of those with the outcome, or in which the driver's program failed
+    count: int  # number of those with the outcome, and of `errors`
     low: float  # lower end of the 95 % interval of the rate
     high: float  # upper end of it
-    errors: int = 0  # number of scenarios in which the driver's program failed, unless the outcome counts them anyway
+    errors: int = 0  # scenarios without the outcome that count because the driver's program failed; 0 for "arrived"
 
     @classmethod
     def of(cls, goal: Goal, n: int, count: int, errors: int = 0) -> Self:
@@ -164,9 +164,10 @@ class PairedSequence:
     """
 
     def __init__(self, margin: float, alpha: float = ALPHA) -> None:
-        # pairs so far; `NON_INFERIOR` or `INFERIOR` once it is decided, which does not change any more
-        self.n, self.verdict = 0, ""
-        self._margin, self._goal = margin, -math.log(alpha)
+        self.n = 0  # pairs so far
+        self.verdict = ""  # `NON_INFERIOR` or `INFERIOR` once it is decided, which does not change any more
+        self._margin = margin
+        self._decisive = -math.log(alpha)  # logarithm of the capital that decides
         self._bets = {sign: np.geomspace(0.003, 0.98 / (1 - sign * margin), _BETS) for sign in (1, -1)}
         self._logs: dict[int, Floats] = {sign: np.zeros(_BETS) for sign in self._bets}
 
@@ -177,6 +178,6 @@ class PairedSequence:
         for sign, bets in self._bets.items():
             self._logs[sign] += np.log1p(bets * sign * (self._margin - worse))
         for sign, verdict in ((1, NON_INFERIOR), (-1, INFERIOR)):
-            if not self.verdict and scipy.special.logsumexp(self._logs[sign]) - math.log(_BETS) >= self._goal:
+            if not self.verdict and scipy.special.logsumexp(self._logs[sign]) - math.log(_BETS) >= self._decisive:
                 self.verdict = verdict
         return self.verdict

@@ -37,7 +37,7 @@ class RobustnessSpec:
         if not _NAME.fullmatch(self.name) or self.name in RESERVED:
             raise InputError(
                 f"The spec {self.source or self.name} cannot be named {self.name!r}: give it an attribute `name` of "
-                f"letters, digits, '_', '-' and '.' that begins with a letter and is none of "
+                f"at most 64 letters, digits, '_', '-' and '.' that begins with a letter or '_' and is none of "
                 f"{', '.join(sorted(RESERVED))}"
             )
 
@@ -63,7 +63,7 @@ class RobustnessSpec:
             raise InputError(f"{self._called()} returned {brief(value)}: {_WANTED}")
         try:
             number = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"{self._called()} returned {brief(value)}: {_WANTED}") from None
         if np.isnan(number):
             raise InputError(f"{self._called()} returned {brief(value)}: {_WANTED}")
@@ -77,7 +77,7 @@ _WANTED: Final = "it must return a number, negative if the trace violates the re
 
 
 def as_spec(found: Any, source: str = "") -> Spec:
-    """Make a spec from a callable that takes a trace, or from a class whose instances are such.
+    """Make a spec from a callable that takes a trace, or from a class whose instances are such callables.
 
     Its name is its attribute `name`, or else its `__name__`. `source`, its origin, is for error messages.
 

@@ -108,7 +108,7 @@ class ReportedRun:
         return counts
 
     def faults(self) -> tuple[int, int]:
-        """Return the number of collisions that were the ego's fault, and of those that were not."""
+        """Return the number of examined collisions that were the ego's fault, and of those that were not."""
         faults = [finding.fault for finding in self.findings if finding.id in self.examined]
         return sum(fault in AT_FAULT for fault in faults), sum(fault in NOT_AT_FAULT for fault in faults)
 
@@ -122,7 +122,7 @@ class ReportedRun:
         return Discovery.of((finding.class_id for finding in self.findings), len(self.entries))
 
     def flaky(self) -> int:
-        """Return the number of failures that did not reproduce."""
+        """Return the number of examined failures that did not reproduce."""
         return sum(not finding.same_verdict for finding in self.findings if finding.id in self.examined)
 
 
@@ -169,7 +169,8 @@ def _confirmation(folder: Path) -> str:
     if not tried:
         return ""
     unsure = not_confirmed(tried)
-    head = f"highway-env itself was asked about {len(tried)} failures and confirms {len(tried) - len(unsure)}."
+    failures = "1 failure" if len(tried) == 1 else f"{len(tried)} failures"
+    head = f"highway-env itself was asked about {failures} and confirms {len(tried) - len(unsure)}."
     return " ".join([head, *unsure])
 
 

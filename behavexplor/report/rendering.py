@@ -35,8 +35,8 @@ def rendered(template: str, scripts: Sequence[str], **values: object) -> str:
 
 def filled(template: str, *, escapes: bool, **values: object) -> str:
     """Return a template of this package with values in it; `escapes` says whether they are escaped for HTML."""
-    kept: dict[str, Any] = {"undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
-    environment = Environment(loader=_Sources(), autoescape=escapes, **kept)  # noqa: S701 - Markdown is not escaped
+    options: dict[str, Any] = {"undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
+    environment = Environment(loader=_Sources(), autoescape=escapes, **options)  # noqa: S701 - Markdown is not escaped
     return environment.get_template(template).render(**values)
 
 

@@ -1,6 +1,7 @@
 """The archive of an experiment: tables without run folders, and experiments in parts."""
 
 import gzip
+import json
 import shutil
 
 import pytest
@@ -98,6 +99,21 @@ def test_an_archive_of_another_experiment_is_refused(whole, tmp_path, change, me
     file.write_text(TEXT.replace(*change))
     with pytest.raises(InputError, match=message):
         read_archive(read_experiment(str(file)).runs(), moved(whole, tmp_path / "out"))
+
+
+def test_a_damaged_campaign_is_named(whole, tmp_path):
+    runs, folder = read_experiment(str(whole[0])).runs(), moved(whole, tmp_path / "out")
+    first, *rest = gzip.decompress((folder / ARCHIVE).read_bytes()).decode().splitlines()
+    line = json.loads(first)
+    for change, message in (
+        ({"config": ["x"]}, f"{ARCHIVE} is damaged"),
+        ({"summary": 3}, f"{ARCHIVE} is damaged"),
+        ({"config": {**line["config"], "budget": "2h"}}, "has a budget of 2h executions"),
+        ({"summary": {**line["summary"], "seed": "x"}}, "seed of the"),
+    ):
+        (folder / ARCHIVE).write_bytes(gzip.compress("\n".join([json.dumps({**line, **change}), *rest]).encode()))
+        with pytest.raises(InputError, match=message):
+            read_archive(runs, folder)
 
 
 @pytest.mark.parametrize(

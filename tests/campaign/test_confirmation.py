@@ -1,6 +1,7 @@
 """Confirmation of failures in highway-env itself: which are tried, and what comes out; records do not depend on it."""
 
 import json
+import shutil
 from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import replace
@@ -57,6 +58,13 @@ def test_the_first_failures_of_each_class_are_confirmed(whole):
     summary = summarize(whole[0])
     assert (summary.confirmed, summary.not_confirmed) == (len(whole[2]), ())
     assert f"was asked about {len(whole[2])} failures and confirms {len(whole[2])}" in read_run(whole[0]).confirmation
+
+
+def test_the_report_counts_one_failure_as_one(tmp_path, whole):
+    shutil.copytree(whole[0], tmp_path / "run")
+    for file in sorted((tmp_path / "run/confirmations").iterdir())[1:]:
+        file.unlink()
+    assert "was asked about 1 failure and confirms 1." in read_run(tmp_path / "run").confirmation
 
 
 def test_workers_and_confirmation_change_no_record(tmp_path, whole):

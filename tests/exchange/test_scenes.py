@@ -545,7 +545,7 @@ def test_a_scene_does_not_choose_which_code_is_loaded(exported, capsys):
     ("text", "message"),
     [
         ("", "cannot be read as XML"),
-        ("time,vehicle,type\n0.0,Ego,vehicle\n", "cannot be read as XML, as `export` writes it without --format csv"),
+        ("time,vehicle,type\n0.0,Ego,vehicle\n", "cannot be read as XML, which `export` writes without --format csv"),
         ("<OpenDRIVE/>", "is an OpenDRIVE road, and not a scene of behavexplor's environments"),
         ("<OpenSCENARIO><FileHeader/><Catalog/></OpenSCENARIO>", "is an OpenSCENARIO catalog, and not a scene"),
         (

@@ -64,6 +64,7 @@ def test_nothing_found_or_everything_often_leaves_nothing():
     assert Discovery.of([], 50) == Discovery(50, 0, 0.0, 0.0, 0.0, 0.0)
     assert Discovery.of(["a"] * 9 + ["b"] * 4, 50) == Discovery(50, 2, 0.0, 0.0, 0.0, 0.0, 0)
     assert math.isnan(Discovery.of([], 0).new_chance)
+    assert "with a probability of at most 100.0%" in Discovery.of([], 0).outlook("uniform")
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -57,7 +57,7 @@ def test_the_degree_is_the_robustness_above_zero(robustness, degree, violated):
     assert (verdict.degrees["own"], verdict.failed) == (degree, violated)
 
 
-@pytest.mark.parametrize("value", [True, np.True_, "1.0", b"1", None, float("nan"), [1.0, 2.0], {}])
+@pytest.mark.parametrize("value", [True, np.True_, "1.0", b"1", None, float("nan"), [1.0, 2.0], {}, 10**400])
 def test_what_is_no_number_is_refused(value):
     spec = RobustnessSpec("own", lambda _: value)
     with pytest.raises(InputError, match=r"^The spec 'own' returned .*: it must return a number, negative if"):

@@ -162,7 +162,7 @@ def test_the_road_of_a_stock_environment_is_in_its_run(tmp_path, executions):
         [[12.0, 0.0], [15.0, 0.0]],
     ]
     (tmp_path / "road.json").write_text('{"surfaces": [[1]], "striped": [], "borders": []}')
-    with pytest.raises(InputError, match="surfaces of the shape of a road must be lines of at least two points"):
+    with pytest.raises(InputError, match="surfaces of the shape of a road must be lines of at least two points within"):
         known_road("merge-v0", tmp_path)
 
 

@@ -210,7 +210,7 @@ def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> No
 
 @kernel_in_place
 def _track_all(course: Course, scenes: Floats, decisions: choosing.Decisions, memory: Floats, actions: Floats) -> None:
-    """Fill in the actions of the egos that are present for decisions of policies, shape (B, 2), each in [-1, 1]."""
+    """Fill in the actions for policies' decisions, shape (B, 2), each in [-1, 1], of the egos that are present."""
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:
             _track(course, scenes[i], decisions.accelerations[i], decisions.lanes[i], memory[i], actions[i])
@@ -218,7 +218,7 @@ def _track_all(course: Course, scenes: Floats, decisions: choosing.Decisions, me
 
 @kernel_inner
 def _see(course: Course, scene: Floats, memory: Floats, seen: Floats) -> None:
-    """Fill in what an ego sees, after its memory has been begun if it is one of zeros."""
+    """Fill in what an ego sees. If its memory is one of zeros, begin it first."""
     if memory[choosing.STARTED] == 0.0:
         choosing.begin(course, scene, memory)
     see(course, scene, memory[choosing.WANTED], seen)

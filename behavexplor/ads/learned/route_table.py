@@ -54,7 +54,7 @@ def make_course(roadmap: RoadMap) -> Course:
 
 
 def _ends(roadmap: RoadMap) -> Floats:
-    """Return, for each lane of the ego's route, the station where the lanes beside it end [m]: the next junction."""
+    """Return the station where the lanes beside each lane of the route end [m]: at a junction or the route's end."""
     route = roadmap.ego_route
     ends = route.bounds[1:].copy()
     for i in range(len(ends) - 2, -1, -1):

@@ -106,7 +106,7 @@ def _plan_batch(
 
 @kernel_inner
 def plan_once(world: Surroundings, memory: Memory) -> None:
-    """Make one decision, and leave its commands in the memory."""
+    """Make one decision: plan the speed, begin or abort a lane change if needed, and leave commands in the memory."""
     path, scene, bits = world.path, world.scene, world.graph.bits
     bits[:] = 0
     station, offset = project_on_path(path, scene[EGO, X], scene[EGO, Y])

@@ -23,7 +23,7 @@ class Neighbors(NamedTuple):
     gap_ahead: float  # gap to the vehicle ahead between bumpers [m], negative beside the ego, infinite for none
     speed_ahead: float  # speed of the vehicle ahead [m/s], infinite for none
     behind: int  # row of the nearest vehicle behind, `NO_VEHICLE` for none
-    gap_behind: float  # gap to the vehicle behind between bumpers [m], infinite for none
+    gap_behind: float  # gap to the vehicle behind between bumpers [m], negative beside the ego, infinite for none
     speed_behind: float  # speed of the vehicle behind [m/s], 0 for none
 
 

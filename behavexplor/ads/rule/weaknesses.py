@@ -120,7 +120,7 @@ WEAKNESSES = MappingProxyType(
             "held_steering",
             "control",
             "A large steering angle in a slow left turn is held for the severity [s], instead of tracking the path.",
-            "the ego was slower than 4 m/s in a left turn with more than 0.2 rad of steering, and still does",
+            "the ego was slower than 4 m/s in a left turn with more than 0.2 rad of steering, and still steers so",
             "touches the double yellow line after the turn",
         ),
         "R3-1": Weakness(

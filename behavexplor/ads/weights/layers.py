@@ -87,7 +87,7 @@ class ActingNetwork:
 
     @property
     def n_weights(self) -> int:
-        """Number of its weights."""
+        """Number of weights in the layers to the actions and the value, without biases."""
         return int(sum(np.prod(one.weight.shape) for one in (*self.layers, *self.value)))
 
     @property
@@ -106,7 +106,7 @@ class ActingNetwork:
 
 
 def networks_in(file: TensorFile) -> list[ActingNetwork]:
-    """Return the networks in a file that can lead to actions, without target networks and optimizers."""
+    """Return the networks in a file that can lead to actions, without targets; none if such a layer is unsupported."""
     names = list(file.arrays) if file.in_order else sorted(file.arrays, key=_natural)
     layers = [layer for name in names if (layer := _layer(name, file.arrays)) is not None]
     online = [layer for layer in layers if _role(layer.name) != TARGET] or layers
@@ -157,7 +157,7 @@ def _layer(name: str, arrays: Mapping[str, Array]) -> Layer | None:
     if other is None and (not name.endswith("weight") or array.dtype.kind != "f"):
         return None
     kind = other or _OF_DIMENSIONS.get(array.ndim, f"{array.ndim}-dimensional")
-    bias = arrays.get(f"{stem}.bias" if stem else "bias")
+    bias = arrays.get(f"{name.removesuffix('weight')}bias")
     if kind in (DENSE, CONVOLUTION) and bias is not None and bias.shape != array.shape[:1]:
         kind = "unmatched"
     return Layer(stem, kind, array if array.ndim > 1 else array.reshape(-1, 1), bias)
@@ -172,7 +172,7 @@ def _networks(layers: Sequence[Layer], stored: Mapping[str, Array]) -> list[Acti
     parts: dict[str, list[Layer]] = {}
     for layer in layers:
         parts.setdefault(layer.name[len(prefix) :].lstrip(".").partition(".")[0], []).append(layer)
-    if len(parts) == len(layers):
+    if len(parts) in (1, len(layers)):
         return []
     return [found for part in parts.values() for found in _networks(part, stored)]
 
@@ -245,4 +245,4 @@ def _common(layers: Iterable[Layer]) -> str:
 
 def _natural(name: str) -> list[tuple[int, int, str]]:
     """Return a key by which fc2 comes before fc10."""
-    return [(int(part.isdigit()), int(part) if part.isdigit() else 0, part) for part in re.split(r"(\d+)", name)]
+    return [(int(part.isdecimal()), int(part) if part.isdecimal() else 0, part) for part in re.split(r"(\d+)", name)]

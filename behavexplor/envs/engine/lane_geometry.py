@@ -140,7 +140,8 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
         return best, *coordinates
     nearest = _distance_with_heading(network.lanes[likely], *coordinates, heading)
     for i in range(len(network.lanes)):
-        lane, is_near, near = network.lanes[i], near & 1, near >> 1  # bit i of `near`
+        lane = network.lanes[i]
+        is_near, near = near & 1, near >> 1  # bit i of `near`
         if not is_near or i == likely or is_farther(lane, x, y, nearest):
             continue
         found = lane_coordinates(lane, x, y)
@@ -154,10 +155,9 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
 def _is_alone(network: Network, near: int, lane: int, x: float, y: float, limit: float) -> bool:
     """Return whether all other lanes with a bit in `near` are certainly farther from a point than a limit [m]."""
     for i in range(len(network.lanes)):
-        is_near, near = near & 1, near >> 1
-        if not is_near or i == lane or is_farther(network.lanes[i], x, y, limit):
-            continue
-        return False
+        is_near, near = near & 1, near >> 1  # bit i of `near`
+        if is_near and i != lane and not is_farther(network.lanes[i], x, y, limit):
+            return False
     return True
 
 
@@ -234,7 +234,7 @@ def update_lane(network: Network, scene: Scene, i: int) -> None:
 
 @kernel_inner
 def coordinates_on(network: Network, scene: Scene, i: int, lane: int) -> tuple[float, float]:
-    """Return the station and the offset of vehicle or obstacle i on a lane [m]; those on its closest lane are noted."""
+    """Return the station and the offset of vehicle or obstacle i on a lane [m], as noted if it is the closest lane."""
     vehicle = scene.vehicles[i]
     if lane == vehicle.lane:
         return scene.scratch.stations[i], scene.scratch.offsets[i]

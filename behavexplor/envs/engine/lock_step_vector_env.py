@@ -53,7 +53,7 @@ class LockStepVectorEnv(VectorEnv[Array, Array, Array]):
         A single seed s gives sub-environment i the seed s + i.
 
         Raises:
-            InputError: if an option or a seed cannot be used.
+            InputError: if an option or a seed cannot be used, or classes have changed since the environment was made.
         """
         options = chosen_options(options, self._options)
         mask = chosen_slots(options.get("reset_mask"), self.num_envs)

@@ -263,7 +263,7 @@ class Layout:
         """Return what the draws of a block have in common: the repeated call, or the number of the next vehicle."""
         parts = name.split("/")
         is_of_vehicle = hasattr(IDMVehicle, _COUNT.sub("", parts[-1]))  # as `randomize_behavior`, which envs have, too
-        for end in range(1, len(parts) + 1 - is_of_vehicle):
+        for end in range(1, len(parts) if is_of_vehicle else len(parts) + 1):
             call = "/".join(parts[:end])
             function = _COUNT.sub("", parts[end - 1])
             if hasattr(self._env, function) and self._is_repeated(call):

@@ -4,10 +4,10 @@ Options of `HighwayVectorEnv.reset` fill some of the slots that are reset:
 
 - `starts`: {slot: environment of highway-env, unwrapped, that has just been reset}. Its state is copied, and its random
   generator, if that is numpy's. If the order of the observation is "shuffled", the first one has an order of its own.
-- `draws`: {slot: array of shape (n,)}. The draws that the episode makes from then on, in their order and in
-  standard form; see `behavexplor.envs.engine.pcg64`. At an intersection, each vehicle that may appear takes `N_DRAWS`,
-  also if it does not appear. The generator draws again after the last of them. The first observation of a start must
-  not draw.
+- `draws`: {slot: array of shape (n,)}. The draws that the episode makes from then on, in their order and in standard
+  form; see `behavexplor.envs.engine.pcg64`. At an intersection, each vehicle that may appear takes `N_DRAWS` of
+  `behavexplor.envs.tasks.intersection`, even if it does not appear. The generator draws again after the last of them.
+  The first observation of a start must not draw.
 """
 
 import math
@@ -153,7 +153,7 @@ def chosen_draws(draws: object, mask: Bools) -> dict[int, Floats]:
     """
     given = _by_slot("draws", draws, mask)
     forms = {b: _floats(one) for b, one in given.items()}
-    if forms and not np.isfinite(np.concatenate([*forms.values()])).all():
+    if forms and not np.isfinite(np.concatenate(list(forms.values()))).all():  # all at once, which is faster
         wrong = next(given[b] for b, one in forms.items() if not np.isfinite(one).all())
         raise InputError(f"draws: expected finite numbers of shape (n,), got {shown(wrong)}")
     return forms
@@ -186,7 +186,7 @@ def _by_slot(name: str, given: object, mask: Bools) -> dict[int, Any]:
 
 
 def _floats(draws: object) -> Floats:
-    """Return draws as an array of shape (n,), or one NaN if they are none."""
+    """Return draws as an array of shape (n,), or one NaN if they cannot be one."""
     try:
         forms = np.asarray(draws, dtype=np.float64)
     except (TypeError, ValueError):

@@ -78,7 +78,7 @@ def advance(
 
     `chosen` says which slots, shape (B,). The stage DECISION simulates a decision, and episodes that have ended rest;
     BEGINNING begins episodes; LOOK observes and judges those that have been begun elsewhere. With `logs_start`, the
-    start is logged as the first frame. All but world, task, `chosen` and actions is changed in place.
+    start is logged as the first frame. The generators, slots, scratch and results are changed in place.
 
     Return the number of chosen slots whose episode has ended. If a choice is none of the commands, return REFUSED, and
     if a slot has no room for the vehicles, FULL; nothing has changed then.
@@ -138,7 +138,7 @@ def _are_known(actions: Actions) -> bool:
 
 @kernel_inner
 def _have_room(task: Task, slots: Slots, chosen: Bools, stage: int) -> bool:
-    """Return whether the vehicles that the chosen episodes have, begin with or receive fit into their slots."""
+    """Return whether each chosen episode has an ego, and room for what it has, begins with or receives."""
     n_places, rules = slots.vehicles.shape[1], task.rules[0]
     for b in range(len(chosen)):
         episode = slots.episodes[b]

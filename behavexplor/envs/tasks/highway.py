@@ -18,7 +18,7 @@ from behavexplor.jit import kernel_inner
 
 
 def put_spacing(row: Any, config: Config) -> None:
-    """Put the numbers for `place_in_front` into the record `TASK`."""
+    """Put the number of other vehicles, and the numbers for `place_in_front`, into a record of `TASK`."""
     row.n_others = config["vehicles_count"]
     row.ego_spacing, row.spacing = config["ego_spacing"], 1 / config["vehicles_density"]
     row.lane_factor = np.exp(-5 / 40 * config["lanes_count"])

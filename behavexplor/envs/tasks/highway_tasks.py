@@ -15,7 +15,7 @@ from behavexplor.envs.tasks import highway, intersection, merge, roundabout, two
 from behavexplor.envs.tasks.task import Task, TaskKind
 from behavexplor.jit import kernel_inner
 
-# An environment is of the first kind that has its class or a parent: a kind comes before those of its parents.
+# An environment is of the first kind with its class or a parent of it: a subclass comes before its parents.
 KINDS: Final[tuple[TaskKind, ...]] = (
     exit_road.KIND,
     highway.KIND,
@@ -39,7 +39,7 @@ def goal_lanes(env: AbstractEnv) -> Callable[[LaneIndex], bool]:
 
 @kernel_inner
 def start(world: World, task: Task, scene: Scene, words: Words) -> None:
-    """Place the first vehicles and the obstacles of an episode: `AbstractEnv._reset`."""
+    """Place an episode's first vehicles and obstacles, drawing from the generator `words`: `AbstractEnv._reset`."""
     episode, number = scene.episode, task.rules[0].number
     episode.n_vehicles = episode.n_obstacles = episode.n_numbered = 0
     episode.ego = episode.frames = episode.road_frames = 0

@@ -25,7 +25,7 @@ KIND = TaskKind(
     ),
     best=("high_speed_reward", "left_lane_reward"),
     gate="on_road_reward",
-    start_lanes=lambda _: tuple((*ends, number) for ends in (("a", "b"), ("b", "c"), ("c", "d")) for number in (0, 1)),
+    start_lanes=lambda _: (("a", "b", 0), ("a", "b", 1), ("b", "c", 0), ("b", "c", 1), ("c", "d", 0), ("c", "d", 1)),
     destinations=("d",),
     n_placed=7,
     unread=frozenset({"offroad_terminal"}),

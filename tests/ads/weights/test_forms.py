@@ -50,6 +50,18 @@ def test_the_function_between_layers_is_torchs(function, tmp_path):
     np.testing.assert_allclose(found, np.concatenate(rows), atol=1e-6)
 
 
+def test_parameters_with_a_name_of_their_own_keep_their_biases(tmp_path):
+    network = dense(25, 16, 5)
+    names = {"0.weight": "fc1_weight", "0.bias": "fc1_bias", "2.weight": "fc2_weight", "2.bias": "fc2_bias"}
+    torch.save({names[name]: array for name, array in network.state_dict().items()}, tmp_path / "weights.pth")
+    observations = np.random.default_rng(0).normal(size=(50, 5, 5)).astype(np.float32)
+    with torch.no_grad():
+        expected = network(torch.as_tensor(observations.reshape(50, 25))).argmax(1)
+    spaces = gymnasium.make("highway-fast-v0").unwrapped
+    policy = load_weights(tmp_path / "weights.pth", "relu").seeing(spaces.observation_space, spaces.action_space)
+    assert policy.predict(observations)[0].tolist() == expected.tolist()
+
+
 def test_a_network_is_the_same_in_a_zip_to_the_last_bit(tmp_path):
     box = gymnasium.spaces.Box(-np.inf, np.inf, (25,), np.float32)
     model = make_model("PPO", box, COMMANDS)

@@ -42,6 +42,14 @@ class Normalized(nn.Module):
         self.fc1, self.norm, self.fc2 = nn.Linear(25, 64), nn.LayerNorm(64), nn.Linear(64, 5)
 
 
+def nested():
+    """A layer with another one inside of it."""
+    network = nn.Module()
+    network.fc = nn.Linear(25, 5)
+    network.fc.lora = nn.Linear(25, 4)
+    return network.state_dict()
+
+
 def two():
     return {"first": dense(25, 64, 5).state_dict(), "second": dense(25, 64, 5).state_dict()}
 
@@ -64,6 +72,7 @@ UNUSABLE = {
         lambda: {"a.weight": torch.zeros(64, 25), "b.weight": torch.zeros(5, 32)},
         r"has layers that do not follow one another \(a 25-64, b 32-5\)",
     ),
+    "nested": (nested, r"has layers that do not follow one another \(fc 25-5, fc\.lora 25-4\)"),
     "scalar": (lambda: {"temperature.weight": torch.tensor(1.0)}, "has 0-dimensional layers, and only dense"),
     "empty": (
         lambda: {"a.weight": torch.zeros(0, 25), "b.weight": torch.zeros(5, 0)},
@@ -130,6 +139,12 @@ def test_nor_does_one_of_safetensors(kind, name, tmp_path):
     safetensors.torch.save_file(network | {name: network[name].to(kind)}, tmp_path / "weights.safetensors")
     with pytest.raises(InputError, match=rf"has the tensor '{name}', which is of the type \w+, and only dense floats"):
         load_weights(tmp_path / "weights.safetensors", "relu")
+
+
+def test_layers_may_have_numbers_of_any_kind_in_their_names(tmp_path):
+    layers = {"²10.weight": torch.zeros(5, 64), "²9.weight": torch.zeros(64, 25)}
+    safetensors.torch.save_file(layers, tmp_path / "weights.safetensors")
+    assert str(load_weights(tmp_path / "weights.safetensors", "relu").network) == "25-64-5"
 
 
 @pytest.mark.parametrize("name", UNUSABLE)
