@@ -42,9 +42,9 @@ def in_notebook() -> bool:
 
 @contextmanager
 def observed(progress: bool | Observer | None, budget: Budget) -> Iterator[Observer]:
-    """Return a function that shows the progress of a campaign: the given one, or our own if asked for.
+    """Return a function that shows the progress of a campaign: `progress` itself, or a line or a bar if asked for.
 
-    False shows nothing; None shows the progress in notebooks only.
+    True shows a bar, or a line in a notebook; False shows nothing; None shows the line in notebooks only.
     """
     if callable(progress):
         yield progress

@@ -158,11 +158,9 @@ def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
 
     As in the paper, the mutants of all campaigns of a method in a scenario are pooled, with one p-value.
     """
-    heads = (
-        *(Column("n"), Column("Mutants"), Column("r_BF", digits=2), Column("p")),
-        *(Column("of a campaign", digits=2, interval=True), Column("Passed")),
-        *(Column("r_BF passed", digits=2), Column("p passed")),
-    )
+    heads: tuple[Column, ...] = (Column("n"), Column("Mutants"), Column("r_BF", digits=2), Column("p"))
+    heads += (Column("of a campaign", digits=2, interval=True), Column("Passed"))
+    heads += (Column("r_BF passed", digits=2), Column("p passed"))
     notes = (
         "Question: does new behavior come nearer to a violation?",
         "Pearson's r of the violation degree of a mutant and its distance to the known behaviors, over the mutants of "

@@ -141,10 +141,10 @@ class JointComparison:
     corrected: float  # p-value with Holm's correction within its family; see `holm`
 
 
-def compare_together(families: Sequence[Sequence[Pair]]) -> list[JointComparison]:
-    """Compare pairs of samples over strata, with the correction for one family; an element has the strata of a pair."""
-    ps = [van_elteren(strata) for strata in families]
-    effects = [float(np.mean([a12(first, second) for first, second in strata])) for strata in families]
+def compare_together(family: Sequence[Sequence[Pair]]) -> list[JointComparison]:
+    """Compare the pairs of one family, each by its samples in all strata, with Holm's correction for the family."""
+    ps = [van_elteren(strata) for strata in family]
+    effects = [float(np.mean([a12(first, second) for first, second in strata])) for strata in family]
     return [JointComparison(*found) for found in zip(effects, ps, holm(ps), strict=True)]
 
 

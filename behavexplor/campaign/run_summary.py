@@ -122,7 +122,7 @@ def summarize(run: Path) -> RunSummary:
         classes=found.largest_first,
         digests=begun.digests,
         libraries=begun.libraries,
-        uniform=own_rate(config.method, found.executions, found.failed, budget, beside),
+        uniform=own_rate(config.method, found.executions, found.failed, budget, found.elapsed, beside),
         confirmed=len(tried) - len(unsure),
         not_confirmed=unsure,
     )

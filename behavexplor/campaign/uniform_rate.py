@@ -1,8 +1,8 @@
 """The driver's own failure rate, beside the share of failures among scenarios that a search has chosen.
 
 A guided search looks where failures are, so its share says how well it searched, and not how often the driver fails.
-Scenarios that are drawn uniformly tell the latter. They are executed after the budget has been used up, and belong
-neither to it nor to the records.
+Scenarios that are drawn uniformly tell the latter. They are executed after the search has ended, and belong neither to
+its budget nor to the records.
 """
 
 import json
@@ -49,7 +49,7 @@ class UniformRate:
         try:
             values = parse_json(store.note(_NOTE).decode(), "the rate of failures")
             found = cls(int(values["n"]), int(values["failed"]))
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError):
             return None
         return found if 0 <= found.failed <= found.n and found.n else None
 
@@ -64,15 +64,16 @@ class UniformRate:
 
 
 def own_rate(
-    method: str, executions: int, failed: int, budget: Budget, beside: UniformRate | None = None
+    method: str, executions: int, failed: int, budget: Budget, elapsed: float, beside: UniformRate | None = None
 ) -> UniformRate | None:
     """Return the driver's own failure rate as far as a run tells it; None if it does not.
 
-    Uniform draws tell it if their number was chosen before. A run that ended at a failure has too many of these.
+    Uniform draws tell it if the budget was used up. A run that ended at a failure has too many of these.
     `beside` is the rate of uniformly drawn scenarios beside the run, see `UniformRate.stored`.
     """
     if method in INDEPENDENT:
-        return UniformRate(executions, failed) if executions and executions >= (budget.executions or 0) else None
+        is_used_up = executions >= (budget.executions or 0) and elapsed >= (budget.seconds or 0.0)
+        return UniformRate(executions, failed) if executions and is_used_up else None
     return beside
 
 

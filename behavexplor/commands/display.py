@@ -130,7 +130,8 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
     head = f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
     lines = [wrapped(f"{head}{share(progress.novel, progress)} of them with new behavior")]
     uniform = UniformRate.stored(store)
-    own = explained(method, own_rate(method, progress.executions, progress.failed, budget, uniform))
+    counts = progress.executions, progress.failed
+    own = explained(method, own_rate(method, *counts, budget, progress.elapsed, uniform))
     if not progress.failed:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
         lines += [

@@ -215,7 +215,7 @@ class DrivingEnv(PlainSimulation):
             self._is_shown = False
             self._slot.begin(self.scenario)
             return
-        self._slot = None
+        self._slot, self._is_shown = None, False  # vehicles that are shown already have the state of the last episode
         _report_plain_simulation(type(self), unsupported)
         self._show()
 

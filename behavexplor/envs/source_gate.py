@@ -227,13 +227,11 @@ def _changes_of(owner: Owner) -> Iterator[str]:
 
 
 def _changed_imports() -> Iterator[str]:
-    """Yield the names of classes and functions that a module of highway-env has imported and are others now."""
-    homes = {
-        name or function: module
-        for module, classes in ported_sources().items()
-        for name, members in classes.items()
-        for function in (members if not name else [""])
-    }
+    """Yield the names of imported classes and functions in highway-env's modules that have been replaced by others."""
+    homes: dict[str, str] = {}
+    for module, classes in ported_sources().items():
+        for name, members in classes.items():
+            homes |= dict.fromkeys([name] if name else members, module)
     for module in ported_sources():
         loaded = sys.modules.get(module)
         for name, value in vars(loaded).items() if loaded else ():
@@ -245,14 +243,13 @@ def _changed_imports() -> Iterator[str]:
 def _is_ported(owner: Owner, name: str, value: object, ported: str | None, digests: dict[str, str]) -> bool:
     """Return whether a function or constant is the one that was ported.
 
-    What was not ported may stand in the file of the class, as in another release, if it replaces nothing.
+    What was not ported must stand in the file of its class. In highway-env, it must be new there, and replace nothing.
     """
     path = f"{_qualname(owner)}.{name}".lstrip(".")
     codes = _codes(value)
-    if ported is None and any(name in vars(parent) for parent in getattr(owner, "__mro__", ())[1:]):
-        return _package(owner) != "highway_env" and _is_in_file(_module(owner), path, codes)
     if ported is None:
-        return _is_in_file(_module(owner), path, codes)
+        replaces = any(name in vars(parent) for parent in getattr(owner, "__mro__", ())[1:])
+        return not (replaces and _package(owner) == "highway_env") and _is_in_file(_module(owner), path, codes)
     if codes is None:
         return ported == _VALUE + _text(value)
     return ported == digests.get(path) and _is_in_file(_module(owner), path, codes)

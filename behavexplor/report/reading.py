@@ -154,7 +154,8 @@ def read_run(folder: Path) -> ReportedRun:
         digests[TRIAGE] = _digest(folder / TRIAGE)
     examined = frozenset(known) & {finding.id for finding in findings}
     weaknesses = triage.weaknesses if triage else {}
-    rate = own_rate(config.method, len(entries), len(findings), Budget.parse(config.budget), uniform)
+    budget, elapsed = Budget.parse(config.budget), entries[-1].elapsed
+    rate = own_rate(config.method, len(entries), len(findings), budget, elapsed, uniform)
     own = explained(config.method, rate)
     minimized = read_minimized(folder)
     words = _confirmation(folder)

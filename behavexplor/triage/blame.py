@@ -26,10 +26,10 @@ class Blame:
     # `ego_cut_in`, `npc_rear_end` or `struck_stationary` if the trace tells, as in
     # `behavexplor.judge.fault.contact_fault`. Otherwise:
     # - `preventable`: there is a witness.
-    # - `unpreventable`: nothing that was tried avoids the collision; it is with a vehicle, and had no last chance.
+    # - `unpreventable`: nothing that was tried avoids the collision; it is with a vehicle, and no last chance is known.
     # - `standing_still_avoids_it`: in a highway-env environment, all drivers that avoid it fail otherwise, and one of
     #   them stands in the end.
-    # - `npc_wreck`, `other`: none of these; or nothing could be tried, because the environment cannot run in lock-step.
+    # - `npc_wreck`, `other`: none of these; or nothing could be tried in the environment.
     kind: Kind
     in_junction: bool  # whether the ego was inside a junction; False in highway-env, where it is not known
     # evasion that avoids the collision, or in a highway-env environment another driver that keeps all its requirements;

@@ -65,13 +65,16 @@ def test_no_failure_is_not_certainty():
     rate = UniformRate(200, 0)
     assert rate.interval[0] == 0.0
     assert rate.interval[1] == pytest.approx(1 - 0.025 ** (1 / 200))
-    assert own_rate("nsga2", 10, 3, Budget(executions=10)) is None
+    assert own_rate("nsga2", 10, 3, Budget(executions=10), 1.0) is None
     assert "not the driver's rate" in explained("nsga2", None)
-    assert own_rate("uniform", 0, 0, Budget(seconds=1.0)) is None
+    assert own_rate("uniform", 0, 0, Budget(seconds=1.0), 1.0) is None
+    assert own_rate("uniform", 9, 1, Budget(seconds=60.0), 59.0) is None
+    assert own_rate("uniform", 9, 1, Budget(seconds=60.0), 60.5) == UniformRate(9, 1)
 
 
-def test_a_run_that_ended_at_a_failure_tells_no_rate(tmp_path, capsys):
-    flags = ["--method", "uniform", "--budget", "12", "--stop-after", "1", "--quiet"]
+@pytest.mark.parametrize("budget", ["12", "1h"])
+def test_a_run_that_ended_at_a_failure_tells_no_rate(tmp_path, capsys, budget):
+    flags = ["--method", "uniform", "--budget", budget, "--stop-after", "1", "--quiet"]
     assert main([*FUZZ, *flags, "--out", str(tmp_path / "run")]) == OK
     assert "before its budget was used up, so its share of failures is not" in " ".join(capsys.readouterr().out.split())
     assert behavexplor.open_run(tmp_path / "run").summary.uniform is None
@@ -79,7 +82,14 @@ def test_a_run_that_ended_at_a_failure_tells_no_rate(tmp_path, capsys):
 
 def test_a_damaged_note_is_no_rate(tmp_path):
     run = behavexplor.find_failures(Cruiser(), "S1", budget=8, out=tmp_path / "run")
-    for text in ("{", "[]", '{"n": 0, "failed": 0}', '{"n": 1, "failed": 2}', '{"n": "x", "failed": 1}'):
+    for text in (
+        "{",
+        "[]",
+        '{"n": 0, "failed": 0}',
+        '{"n": 1, "failed": 2}',
+        '{"n": "x", "failed": 1}',
+        '{"n": Infinity}',
+    ):
         store = Store.reopen(run.folder)
         store.add_note("uniform", text)
         assert UniformRate.stored(store) is None

@@ -178,6 +178,18 @@ def test_scripted_environments_refuse_by_name(monkeypatch):
         gymnasium.make_vec("behavexplor/lane-follow-v0", **make)
 
 
+@pytest.mark.filterwarnings("ignore:.*highway-env itself")
+def test_an_episode_after_a_change_begins_anew_on_highway_envs_objects(monkeypatch):
+    env, clip = gymnasium.make("behavexplor/intersection-left-v0").unwrapped, Vehicle.clip_actions
+    env.reset(seed=1)
+    begun = [(*vehicle.position, vehicle.speed) for vehicle in env.road.vehicles]
+    for _ in range(20):
+        env.step(np.array([1.0, 0.0], dtype=np.float32))
+    monkeypatch.setattr(Vehicle, "clip_actions", lambda vehicle: clip(vehicle) or None)
+    env.reset(seed=1)
+    assert [(*vehicle.position, vehicle.speed) for vehicle in env.road.vehicles] == begun
+
+
 def test_automatic_resets_look_too(monkeypatch):
     env = HighwayVectorEnv(HighwayEnvFast, 1, {"duration": 1}, autoreset_mode="SameStep")
     env.reset(seed=0)

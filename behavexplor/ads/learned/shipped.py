@@ -24,7 +24,7 @@ def policy_file(name: str) -> Path:
     """Return the file of a policy's network: "learned:NAME" for one that comes with this package, or a path.
 
     Raises:
-        InputError: if there is no such policy.
+        InputError: if "learned:NAME" has an unknown name. Whether a path exists is not checked.
     """
     if not name.startswith(PREFIX):
         return Path(name)

@@ -1,9 +1,9 @@
 """Wrappers of the user's own, through which a policy sees and acts as in its training."""
 
 import hashlib
+import sys
 from collections.abc import Collection, Mapping, Sequence
 from importlib import import_module
-from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +143,7 @@ def in_wrappers(policy: Any, model: Path, named: Sequence[Named], trust: Collect
     Raises:
         InputError: if it is not, or a wrapper cannot be imported or applied.
     """
-    pairs = [(one, {}) if isinstance(one, str) else next(iter(one.items()), ("", {})) for one in named]
+    pairs = [pair for one in named for pair in ({one: {}} if isinstance(one, str) else one).items()]
     if not pairs:
         return policy
     settings = next(file for file in map(model.with_suffix, OWN) if file.is_file())
@@ -174,11 +174,10 @@ def _wrapper(name: str) -> Any:
 
 def _source(module: str) -> bytes:
     """Return the source of a module, which is not imported; nothing if it is not found as a file."""
-    spec: ModuleSpec | None = None
-    name, folders = "", None
+    name, folders, spec = "", None, None
     for part in module.split("."):
         name = f"{name}.{part}".lstrip(".")
-        spec = PathFinder.find_spec(name, folders)
+        spec = next(filter(None, (finder.find_spec(name, folders) for finder in sys.meta_path)), None)
         folders = None if spec is None else spec.submodule_search_locations
     origin = None if spec is None or spec.origin is None else Path(spec.origin)
     return read_file(origin) if origin is not None and origin.is_file() else b""

@@ -1,9 +1,8 @@
 """A policy whose file holds weights alone: its layers come from the file, what the file cannot say from the user."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 from math import prod
 from pathlib import Path
 from typing import Any, Final
@@ -62,7 +61,7 @@ class WeightsPolicy:
     def seeing(self, space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> SB3Policy:
         """Return the policy for the observations and actions of an environment.
 
-        If they do not fit, it is a policy for others, as far as its network tells.
+        Where they do not fit the network, the policy has other spaces, as far as the network tells them.
 
         Raises:
             InputError: if a setting is missing, or its convolutions do not fit the observations.
@@ -76,7 +75,7 @@ class WeightsPolicy:
             raise _lacking(self.path, self.network, ["`squash: true` if tanh follows its last layer, or else `false`"])
         squash = bool(described.squash) and is_box
         seen = self._space(space)
-        policy = LayeredPolicy(seen, commands, _parts(self.network, described, seen), squash=squash)
+        policy = LayeredPolicy(seen, commands, _parts(self.network, described), squash=squash)
         statistics = Statistics.read(described.statistics) if described.statistics else None
         return SB3Policy(policy, described, statistics, None).seeing(space, action_space)
 
@@ -93,7 +92,7 @@ class WeightsPolicy:
                 f"as `observation: {{type: OccupancyGrid}}`, in {self.path.with_suffix('.yaml').name} beside it"
             )
         grid = tuple(shape[1:])
-        for layer, stride, padding in zip(self.network.convolutions, *_steps(self), strict=True):
+        for layer, stride, padding in _steps(self.network, self.description):
             kernel = layer.weight.shape[2:]
             grid = tuple((n + 2 * padding - k) // stride + 1 for n, k in zip(grid, kernel, strict=True))
         made = (self.network.convolutions[-1].outputs, *grid)
@@ -175,23 +174,25 @@ def _lacking(path: Path, network: ActingNetwork, settings: Sequence[str]) -> Inp
     )
 
 
-def _steps(policy: WeightsPolicy) -> tuple[Sequence[int], Sequence[int]]:
-    """Return the strides and paddings of the convolutions."""
-    described, count = policy.description, len(policy.network.convolutions)
-    return described.strides or [1] * count, described.paddings or [0] * count
+def _steps(network: ActingNetwork, description: Description) -> Iterator[tuple[Layer, int, int]]:
+    """Return the convolutions, each with its stride and padding."""
+    count = len(network.convolutions)
+    strides, paddings = description.strides or [1] * count, description.paddings or [0] * count
+    return zip(network.convolutions, strides, paddings, strict=True)
 
 
-def _parts(network: ActingNetwork, description: Description, space: gymnasium.spaces.Box) -> Parts:
+def _parts(network: ActingNetwork, description: Description) -> Parts:
     """Return the layers of a network as those of torch, with the function between any two of them."""
     function = _FUNCTIONS[description.activation or "identity"]
-    steps = iter(zip(description.strides or (), description.paddings or [0] * len(network.convolutions), strict=False))
-    made = {one.name: _module(one, *(next(steps) if one.kind == CONVOLUTION else ())) for one in network.layers}
-    made |= {one.name: _module(one) for one in network.value}
-    firsts = [one.name for one in network.layers if one.kind == DENSE][:1] if len(space.shape) > 1 else []
+    made = {layer.name: _module(layer, stride, padding) for layer, stride, padding in _steps(network, description)}
+    made |= {layer.name: _module(layer) for layer in (*network.layers, *network.value) if layer.name not in made}
 
     def line(layers: Sequence[Layer], *, ends: bool) -> torch.nn.Sequential:
-        parts = [((torch.nn.Flatten(),) if one.name in firsts else ()) + (made[one.name], function()) for one in layers]
-        listed = list(chain.from_iterable(parts))
+        listed: list[torch.nn.Module] = []
+        for layer in layers:
+            if network.convolutions and layer.kind == DENSE:
+                listed.append(torch.nn.Flatten())  # which changes nothing but the output of a convolution
+            listed += [made[layer.name], function()]
         return torch.nn.Sequential(*(listed[:-1] if ends else listed))
 
     is_logits = (description.output or network.output) == "logits"

@@ -54,10 +54,10 @@ def start(world: World, task: Task, scene: Scene, words: Words) -> None:
     x, y = lane_point(lane, 125.0)
     i = place_vehicle(world, scene, AS_EGO, x, y, lane_heading(lane, 140.0), 8.0)
     plan_route(world, scene, i, starts.plans[rules.ego_destination])
-    for first, station in ((2, 5.0), (1, 20.0), (1, -20.0), (3, 50.0)):
-        i = place_nearby(world, scene, words, starts.lanes[first], station, 16.0)
+    for place, station in ((2, 5.0), (1, 20.0), (1, -20.0), (3, 50.0)):
+        i = place_nearby(world, scene, words, starts.lanes[place], station, 16.0)
         destination: int = rules.destination
-        if first != 2 or destination == DRAWN:  # the option holds for the first of them only
+        if place != 2 or destination == DRAWN:  # the option holds for the first of them only
             destination = integer(words, THREE)
         plan_route(world, scene, i, starts.plans[destination])
         draw_behavior(words, scene, i)

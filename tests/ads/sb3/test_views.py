@@ -1,5 +1,8 @@
 """Policies that were trained behind wrappers see what these made of the observations."""
 
+import sys
+from importlib.util import spec_from_file_location
+
 import gymnasium
 import numpy as np
 import pytest
@@ -172,6 +175,31 @@ def test_wrappers_of_the_user_are_applied_only_if_they_are_trusted(own):
     module.write_text(WRAPPERS + "\n# changed\n")
     assert digest_asked_for(path) != digest
     settings.write_text(settings.read_text() + "\n# changed\n")
+    assert digest_asked_for(path) != digest
+
+
+def test_all_wrappers_of_a_mapping_are_applied(own):
+    path, settings, name = own
+    settings.write_text(f"wrappers: [{{'{name}:Twice': {{factor: 3.0}}, '{name}:Reversed': {{}}}}]")
+    policy = load_ads(str(path), None, (digest_asked_for(path),)).seeing(SEEN, META)
+    assert f"sees and acts through {name}:Twice and {name}:Reversed" in policy.said
+
+
+def test_modules_that_another_finder_finds_count_in_the_digest(own, monkeypatch, tmp_path):
+    path, settings, _ = own
+    hidden = tmp_path / "hidden" / "found_elsewhere.py"  # as an editable installation finds it
+    hidden.parent.mkdir()
+    hidden.write_text(WRAPPERS)
+
+    class Finder:
+        @staticmethod
+        def find_spec(name, path=None, target=None):
+            return spec_from_file_location(name, hidden) if name == "found_elsewhere" else None
+
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path, Finder])
+    settings.write_text("wrappers: ['found_elsewhere:Reversed']")
+    digest = digest_asked_for(path)
+    hidden.write_text(WRAPPERS + "\n# changed\n")
     assert digest_asked_for(path) != digest
 
 

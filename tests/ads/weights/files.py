@@ -60,6 +60,20 @@ class Dueling(nn.Module):
         return self.value(shared) + advantage - advantage.mean(1, keepdim=True)
 
 
+class ConvolutionalDueling(nn.Module):
+    """Both heads follow the convolutions, and each flattens their output."""
+
+    def __init__(self):
+        super().__init__()
+        self.features = nn.Sequential(nn.Conv2d(4, 8, 3), nn.ReLU(), nn.Conv2d(8, 4, 2), nn.ReLU())
+        self.advantage, self.value = dense(256, 16, 5), dense(256, 16, 1)
+
+    def forward(self, seen):
+        shared = self.features(seen).flatten(1)
+        advantage = self.advantage(shared)
+        return self.value(shared) + advantage - advantage.mean(1, keepdim=True)
+
+
 class ActorCritic(nn.Module):
     def __init__(self):
         super().__init__()
@@ -163,6 +177,9 @@ FORMS = {
     "safetensors": Form(Tutorial, settings=RELU, name="weights.safetensors"),
     "convolutional": Form(
         Convolutional, settings={**RELU, "strides": [2, 1], "paddings": [1, 0]}, spaces=(GRID, META), config=GRID_CONFIG
+    ),
+    "convolutional dueling": Form(
+        ConvolutionalDueling, settings={**RELU, "strides": [1, 1]}, spaces=(GRID, META), config=GRID_CONFIG
     ),
     "gaussian": Form(Gaussian, settings=TANH, spaces=(KINEMATICS, COMMANDS), config=CONTINUOUS),
     "soft": Form(SoftActor, settings={**RELU, "squash": True}, spaces=(KINEMATICS, COMMANDS), config=CONTINUOUS),
