@@ -39,7 +39,7 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
 
     Raises:
         sqlite3.Error: if the file cannot be opened.
-        InputError: if it is not a database that this program has made, or has another file's journal.
+        InputError: if it is not a database that this program has made, or if its journal names another journal.
     """
     _check_files(path)
     if mode == "ro" and not os.access(path.parent, os.W_OK) and not wal_of(path).exists():
@@ -110,7 +110,7 @@ def _check_schema(path: Path, connection: sqlite3.Connection, *, is_reader: bool
                     f"not opened, because that could change what is read and written; {mend}"
                 )
     except sqlite3.DatabaseError as error:
-        code = error.sqlite_errorcode & 0xFF  # without what extends it
+        code = error.sqlite_errorcode & 0xFF  # the primary result code, without the bits of an extended one
         if not is_reader or code not in UNREADABLE:  # readers still find rows in the pages that are left
             raise
 

@@ -137,7 +137,7 @@ def accepted(stored: StoredConfig, consent: Consent = Consent(), runs: Collectio
 
 
 def claim_of(config: CampaignConfig, place: Path) -> Claim:
-    """Return what the configuration of a campaign says that may have code run. A campaign may get another budget."""
+    """Return what a campaign's configuration says that may have code run; not its budget, which may change later."""
     usual = CampaignConfig().stated() | {"budget": config.budget}
     values = {name: value for name, value in config.stated().items() if value != usual[name]}
     code = code_of(config.env, config.ads, config.method, config.specs, config.env_config)
@@ -168,8 +168,8 @@ def own_run(config: CampaignConfig, folder: Path) -> tuple[str, ...]:
 def own_digests(claim: Claim) -> tuple[str, ...]:
     """Return the digests by which a folder will be known as this machine's: with its driver, and without it.
 
-    The latter counts where the user names the driver. They are taken before any code is run. A folder that brings no
-    code needs none.
+    The latter counts where the user names the driver. Campaigns and retrainings take them before any code is run. A
+    folder that brings no code needs none.
     """
     if not (claim.code or claim.asks):
         return ()
@@ -177,9 +177,9 @@ def own_digests(claim: Claim) -> tuple[str, ...]:
 
 
 def remember(digests: Iterable[str]) -> None:
-    """Write durably that a folder is this machine's, before the folder can be found, so that it can be continued.
+    """Write durably that a folder is this machine's, so that it can be continued. Warn if that is not possible.
 
-    Warn if that is not possible.
+    A new folder is remembered before it is filled, so that a crash leaves none that is not.
     """
     try:
         for digest in dict.fromkeys(digests):

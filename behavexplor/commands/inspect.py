@@ -32,8 +32,8 @@ from behavexplor.execution.evaluator import collected_notices
 from behavexplor.execution.simulation import Simulation, brief_space, seen_in
 
 _LABEL: Final = 14  # width of the first column
-# The module of a model's policy names its algorithm, except where several have the same policies. These are told apart
-# by the first of the numbers that the file has.
+# The module of a model's policy names its algorithm. TRPO, PPO and A2C have the same policies: the first name in
+# `_OF_NUMBERS` that the file has tells which of them it is.
 _OF_MODULES: Final[Mapping[str, str]] = {
     "dqn": "DQN",
     "qrdqn": "QR-DQN",
@@ -48,7 +48,7 @@ _OF_MODULES: Final[Mapping[str, str]] = {
     "ppo_recurrent": "RecurrentPPO",
 }
 _OF_NUMBERS: Final[Mapping[str, str]] = {"cg_max_steps": "TRPO", "n_epochs": "PPO", "gae_lambda": "A2C"}
-_MOST: Final = 8  # networks or suspicions that are listed
+_MOST: Final = 8  # networks, unused tensors or suspicions that are listed
 
 
 def inspect(
@@ -66,7 +66,7 @@ def inspect(
     Args:
         policy: File or folder of a policy, or learned:NAME.
         activation: Function between the layers of a file of weights, such as relu.
-        env_config: Configuration of the environment, for --env-config of fuzz.
+        env_config: YAML file with the configuration of the environment, as for fuzz.
         trust: Allow the policy file with this digest ("sha256:...") to execute code.
         json_file: Also write all of this to this JSON file; - is standard output.
     """
@@ -102,15 +102,15 @@ def _driving(policy: str, config: dict[str, Any] | None, trust: tuple[str, ...],
         ads = load_ads(policy, None, trust, activation)
     except InputError as error:
         return {"loads": f"no: {error}", "fits": []}
-    seen: dict[str, Any] = {}
-    refused: dict[str, None] = {}
+    seen: dict[str, Any] = {}  # by environment, the driver as it sees it; under "", the last one that it does not fit
+    refused: dict[str, None] = {}  # messages of the environments that refuse it, each once and in order
     for env in (*FUNCTIONAL_SCENARIOS, *highway_ids()):
         try:
             driver, fits = seen_in(env, ads, config or {})
         except InputError as error:
             refused[str(error)] = None
         else:
-            seen["" if not fits else env] = driver
+            seen[env if fits else ""] = driver
     return {"loads": "yes", **_place(seen, list(refused))}
 
 
@@ -191,14 +191,15 @@ def _algorithm(archive: Archive) -> str:
 
 
 def _function_between(archive: Archive) -> str:
-    """Return the function between the layers, in words, if the file names one or its algorithm has one by default."""
+    """Return the function between the layers, in words; empty if neither the file nor its algorithm tells it."""
     keywords = archive.settings.get("policy_kwargs")
     named = keywords.get("activation_fn") if isinstance(keywords, dict) else None
     if isinstance(named, Name):
         return f", {named.name.rpartition('.')[2]} between them"
     policy = archive.settings.get("policy_class")
-    is_actor_critic = isinstance(policy, Name) and "ActorCritic" in policy.name
-    return ", Tanh between them" if is_actor_critic else ", ReLU between them"
+    if named is not None or not isinstance(policy, Name):  # code of its own, which was not run
+        return ""
+    return ", Tanh between them" if "ActorCritic" in policy.name else ", ReLU between them"
 
 
 def _of_weights(file: TensorFile) -> dict[str, str]:

@@ -196,8 +196,8 @@ def retrain(
 ) -> list[Round]:
     """Retrain a policy, or resume after the last round in the folder; return all rounds.
 
-    `observe` gets the progress of a round after each batch of experience, and `report` each finished round. The best
-    policy is that of `best`; see `policy_in`.
+    `observe` gets the progress of a round after each batch of experience, and `report` each finished round. The policy
+    of the round that `best` chooses is copied to `policy_in(folder, config)`.
 
     Raises:
         InputError: if the policy or the environment cannot be used, or a file of the folder cannot be read.

@@ -307,7 +307,7 @@ class Minimized:
         cause: weakness of the rule planner that caused the failure; None without triage.
         reproduced: whether the failure happened again. Only then it was minimized. It is not repeated if the driver
             ended or blocked its process.
-        is_minimal: whether the scenario cannot be simplified by one more step; False if `LIMIT` was reached before.
+        is_minimal: whether no further step simplifies the scenario; False if `minimization.LIMIT` was reached before.
         found: size of the found scenario.
         minimal: size of the minimized scenario.
         executions: number of candidates that were executed.

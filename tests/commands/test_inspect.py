@@ -14,7 +14,9 @@ import pytest
 import torch
 
 from behavexplor.ads.learned.shipped import FOLDER
+from behavexplor.ads.sb3.inert import Inert, Name
 from behavexplor.commands import main
+from behavexplor.commands.inspect import _function_between
 from tests.ads.sb3.models import ALGORITHMS, make_model
 from tests.ads.sb3.test_policy import with_data
 from tests.ads.weights.files import FORMS, Tutorial, dense, write
@@ -140,6 +142,23 @@ def test_of_weights_that_are_no_tensors_no_layers_are_said(tmp_path, capfd):
     said = inspected(capfd, tmp_path / "other-8.zip")
     assert "holds no tensors of a network: save its weights by torch.save(model.state_dict(), 'weights.pth')" in said
     assert "between them" not in said
+
+
+OWN, SHARED, OF_DQN = Inert("a.function"), Name("sb3.ActorCriticPolicy"), Name("sb3.DQNPolicy")
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"policy_class": OWN}, ""),
+        ({"policy_class": SHARED, "policy_kwargs": {"activation_fn": OWN}}, ""),
+        ({"policy_class": SHARED, "policy_kwargs": {"activation_fn": Name("torch.nn.ELU")}}, ", ELU between them"),
+        ({"policy_class": SHARED}, ", Tanh between them"),
+        ({"policy_class": OF_DQN, "policy_kwargs": {}}, ", ReLU between them"),
+    ],
+)
+def test_the_function_between_layers_is_said_where_it_is_known(settings, said):
+    assert _function_between(types.SimpleNamespace(settings=settings)) == said
 
 
 def test_a_model_needs_no_ending_as_for_fuzz(tmp_path, capfd):

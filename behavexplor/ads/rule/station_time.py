@@ -132,7 +132,7 @@ def project_obstacles(
 
 @kernel_inner
 def _ignored(view: Projection, row: int, blind: float) -> bool:
-    """Return whether an NPC in the target lane is too far behind to be considered (weaknesses R1-5 and R1-6)."""
+    """Return whether an NPC beside or behind the ego in the target lane is ignored (weaknesses R1-5 and R1-6)."""
     if blind == -math.inf or view.profile.length == 0.0:
         return False
     station, offset = project_on_path(view.path, view.scene[row, X], view.scene[row, Y])
@@ -203,7 +203,7 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
     ways, graph = view.ways, view.graph
     tail, start = ways.tails[graph.tails[way]], graph.stations[way]
     steps = _steps(motion, view.p)
-    first, last, step = -1, -1, int64(0)
+    first, last, step = -1, -1, int64(0)  # as int64, so that numba compiles what gets it only once
     for depth in range(len(tail)):
         if tail[depth] < 0:
             break

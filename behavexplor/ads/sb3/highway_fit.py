@@ -88,7 +88,7 @@ def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.
     hint = f" (highway-env's {name})" if name else ""
     other = "" if name else _OTHER_AXIS.get(_commands(action_space), "")
     if len(observation_space.shape or ()) == 1:
-        other = f"{other} (or, if several observations were stacked, fewer vehicles and their number as `frame_stack`)"
+        other += " (or, if observations were stacked, fewer vehicles, and how many were stacked as `frame_stack`)"
     return f"A configuration that fits{hint} can be given {where}: {flow}{other}"
 
 
