@@ -45,7 +45,7 @@ def _round(numbers: Floats) -> None:
 def as_memory(state: Floats | None, episode_start: Bools | None, shape: tuple[int, int]) -> Floats:
     """Return the memory as a new, writable array of a shape (B, n): zeros at first, and in rows that begin an episode.
 
-    `state` is None at first, and `episode_start`, shape (B,), if no row begins one.
+    `state` is None at first. `episode_start`, shape (B,), is True for rows that begin an episode; None if no row does.
 
     Raises:
         InputError: if an array has another shape.

@@ -17,9 +17,9 @@ def frame_of(records: Iterable[Record]) -> "pd.DataFrame":
     """Return records as a DataFrame.
 
     The index is the number of the execution. The columns are the fields of a `behavexplor.campaign.record.Record`, with
-    these differences: `spec` is the most severe violated spec, `words` is the class as a sentence, `degree_<spec>` and
-    `search_<figure>` have a column each, and so do `error_kind` and `error_message`. The scenario is left out:
-    `behavexplor.Run.scenario` returns it.
+    these differences: `failed` and `at_fault` are added, `spec` is the most severe violated spec, `class` stands for
+    `violation_class`, `words` is the class as a sentence, `degree_<spec>` and `search_<figure>` have a column each, and
+    so do `error_kind` and `error_message`. The scenario is left out: `behavexplor.Run.scenario` returns it.
 
     Raises:
         InputError: if pandas is not installed.

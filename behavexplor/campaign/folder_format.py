@@ -1,6 +1,7 @@
 """The format of a run folder: the files that a campaign writes, the tables of its database, and what may be lost.
 
-What triage and minimization add is in `behavexplor.triage.findings`; docs/reference/runs.md tells of all files.
+What confirmation adds is in `behavexplor.campaign.confirmation`, what triage and minimization add in
+`behavexplor.triage.findings`; docs/reference/runs.md tells of all files.
 """
 
 from collections.abc import Sequence

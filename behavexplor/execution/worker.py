@@ -30,13 +30,13 @@ from behavexplor.execution.worker_output import leave_terminal
 try:
     import fcntl
     import resource
-except ImportError:  # Windows has no such limits
+except ImportError:  # Windows has neither
     fcntl = resource = None  # type: ignore[assignment]
 
 _STDERR: Final = 2  # number of the last of the standard files
 CLOSED: Final = 83  # exit code of a worker whose connection was closed
-_LONGEST_WAIT: Final = 0.1  # of an answer for others with which it is sent [s]
-_MOST_WAITING: Final = 2**20  # bytes of answers that wait
+_LONGEST_WAIT: Final = 0.1  # longest time that an answer waits for others, to be sent with them [s]
+_MOST_WAITING: Final = 2**20  # size of waiting answers above which they are sent [bytes]
 
 
 def serve(
@@ -76,7 +76,8 @@ def serve(
     with suppress(EOFError, OSError):  # the supervisor has ended
         connection.recv_bytes()  # `STARTED`
         _be_killed_with_supervisor(with_children=output is not None)
-    os.register_at_fork(after_in_child=connection.close)  # a copy that an ADS makes of this process answers nothing
+    if hasattr(os, "register_at_fork"):  # not on Windows
+        os.register_at_fork(after_in_child=connection.close)  # a copy that an ADS makes of this process answers nothing
     _leave_pipes()
     service = recipe.make()
     if recipe.long_calls:
@@ -147,7 +148,7 @@ class _Answers:
         self._waiting.append(with_key(key, answer))
 
     def send(self, *, at_once: bool) -> None:
-        """Send the answers if there are enough of them, or at once if there are any."""
+        """Send the answers if they are enough or have waited for long; `at_once`, send them if there are any."""
         is_due = at_once or len(self._waiting) >= self._together or time.monotonic() - self._since > _LONGEST_WAIT
         if self._waiting and (is_due or sum(map(len, self._waiting)) > _MOST_WAITING):
             _send(self._connection, packed(self._waiting))
@@ -190,7 +191,7 @@ def _send(connection: Connection, message: bytes) -> None:
 def _call(service: Service, request: Request) -> bytes:
     try:
         return RESULT + service.functions[request.function](request.data)
-    except (OSError, ImportError) as error:  # nothing here raises these, unless the ADS has used up files or modules
+    except (OSError, ImportError) as error:  # only if the ADS has used up file descriptors or removed modules
         cannot = ADSError("crash", f"its process cannot go on: {described(error)}")
         return error_answer(cannot if service.is_confined else error)
     except Exception as error:
@@ -223,8 +224,6 @@ def _be_killed_with_supervisor(*, with_children: bool) -> None:
     supervisor = multiprocessing.parent_process()
     if supervisor is None or sys.platform != "linux":
         return
-    import fcntl  # noqa: PLC0415 - not on Windows
-
     fcntl.fcntl(supervisor.sentinel, fcntl.F_SETOWN, -os.getpid() if with_children else os.getpid())
     fcntl.fcntl(supervisor.sentinel, fcntl.F_SETSIG, signal.SIGKILL)
     fcntl.fcntl(supervisor.sentinel, fcntl.F_SETFL, os.O_ASYNC)

@@ -163,7 +163,7 @@ class Minimizer(FailureEvaluator):
         self._episodes = self.simulation.lock_step(LOCK_STEP)
 
     def minimize(self, request: bytes) -> bytes:
-        """Minimize a failure; return it as a line of JSON, and the trace of its scenario."""
+        """Minimize a failure, encoded by `minimization`; return it as a line of JSON, and the trace of its scenario."""
         head, data = request.split(b"\n", 1)
         values = json.loads(head)
         record, seed = Record.from_json(json.dumps(values["record"])), values["seed"]
@@ -187,8 +187,8 @@ def minimized(
 ) -> tuple[Minimized, Trace]:
     """Minimize a failure, and return it with the trace of its scenario.
 
-    Its class stays the same, and its fault and cause as far as they are `known` by triage; None without triage. The
-    driver is that of the execution; seed and specs are the campaign's.
+    Its class stays the same, and so do its fault and cause as far as the finding `known` tells them, which is None
+    without triage. The driver is that of the execution; seed and specs are the campaign's.
     """
     logical, scenario = driven.simulation.logical, record.load_scenario()
     parts, removable = logical.parts(scenario), logical.removable
@@ -254,9 +254,9 @@ class RunMinimization:
 
     A failure in which the driver ends or blocks its process, or does so in a simpler scenario, is left as it was found.
 
-    Numbers are those of failed executions; without them, the first failure of each class is chosen, or `every` failure.
-    Known ones are minimized again only `afresh`. A `driver` of this process drives in place of the one that the
-    configuration names. The numbers that have to be minimized are `waiting`.
+    `numbers` are those of failed executions; without them, the first failure of each class is chosen, or `every` one.
+    Those that were minimized before are done again only `afresh`. 0 `workers` use this process. A `driver` of this
+    process drives in place of the one that the configuration names. The numbers still to be minimized are `waiting`.
 
     Raises:
         InputError: if the folder is not a run folder, or is damaged, or an execution has no failure.

@@ -55,7 +55,7 @@ def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
 
 @kernel_inner
 def lanes_beside(course: Course, row: int, offset: float) -> tuple[int, int]:
-    """Count the lanes to the left and right of the lane at an offset from the route; there are none in a junction."""
+    """Count the lanes left and right of the lane at an offset from the route; a junction has only the route's lane."""
     path = course.path
     lane = round(offset / path.lane_width)
     inside = path.junction_start <= row * SPACING < path.junction_end

@@ -61,8 +61,8 @@ def steer(
 ) -> float:
     """Return the steering angle [rad] by pure pursuit: the circle through a point ahead on the path.
 
-    In highway-env's bicycle model, sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip). It turns about its
-    center, and moves along heading + slip. Solved for the slip, the circle through the point is exact.
+    In highway-env's bicycle model, sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip). The vehicle turns
+    about its center, and moves along heading + slip. Solved for the slip, the circle through the point is exact.
     """
     away = p.look_ahead + p.look_ahead_time * scene[EGO, SPEED]
     if memory.sharp == 1.0:  # a short lane change is steered with a short look-ahead (R2-2)

@@ -20,7 +20,7 @@ from behavexplor.data.untrusted import parse_json, parse_yaml, read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief
 
-MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
+MAX_BYTES: Final = 1_000_000  # greatest size of a file of settings
 OWN: Final = (".yaml", ".yml")  # endings of the file with a model's settings beside it
 STATISTICS: Final = ("vecnormalize.pkl", "vec_normalize.pkl")  # the names by rl-zoo3, on disk and on the Hub
 # Endings of files that hold weights alone; those of rl_agents end with .tar.
@@ -31,7 +31,7 @@ _ELSEWHERE: Final = {  # what is not read, with the way out
     ".keras": _KERAS,
     ".onnx": "a program of ONNX, which is not run: write a driver of ten lines and name it as module:attribute",
 }
-_CHECKPOINT: Final = re.compile(r"(.+)_(\d+)_steps")  # the name of a model by Stable-Baselines3's CheckpointCallback
+_CHECKPOINT: Final = re.compile(r"^(.+)_(\d+)_steps$")  # the name of a model by Stable-Baselines3's CheckpointCallback
 # Wrappers that change neither what a policy observes nor what it does here, as rl-zoo3 names them.
 _HARMLESS: Final = (
     "stable_baselines3.common.vec_env.VecMonitor",
@@ -117,7 +117,7 @@ def files_of_model(ads: str) -> list[Path]:
     folders = (model.parent, *(arguments.parent for arguments in sorted(model.parent.glob("*/args.yml"))))
     beside = [folder / name for folder in folders for name in ("args.yml", "config.yml", *STATISTICS)]
     beside += sorted(model.parent.glob(_METADATA)) if model.suffix in WEIGHTS else []
-    return [path for path in (model, _of_checkpoint(model), *map(model.with_suffix, OWN), *beside) if path.is_file()]
+    return [path for path in (model, *_of_checkpoint(model), *map(model.with_suffix, OWN), *beside) if path.is_file()]
 
 
 def named_env(env: str | None, ads: str) -> str | None:
@@ -185,9 +185,9 @@ def describe(model: Path) -> Description:
 
 
 def _statistics_in(folder: Path, model: Path) -> Path | None:
-    """Return the file of statistics in a folder; None if there is none."""
-    if (named := _of_checkpoint(model)).is_file():
-        return named
+    """Return the file of statistics of a checkpoint, or else the one in a folder; None if there is none."""
+    if named := [path for path in _of_checkpoint(model) if path.is_file()]:
+        return named[0]
     found = [folder / name for name in STATISTICS if (folder / name).is_file()]
     if len(found) > 1:
         names = " and ".join(STATISTICS)
@@ -195,9 +195,9 @@ def _statistics_in(folder: Path, model: Path) -> Path | None:
     return found[0] if found else None
 
 
-def _of_checkpoint(model: Path) -> Path:
-    """Return the path at which CheckpointCallback saves the statistics of a model."""
-    return model.with_name(_CHECKPOINT.sub(r"\1_vecnormalize_\2_steps", model.stem) + ".pkl")
+def _of_checkpoint(model: Path) -> list[Path]:
+    """Return the path at which CheckpointCallback saves a model's statistics; none if the name is not its own."""
+    return [model.with_name(f"{name}_vecnormalize_{n}_steps.pkl") for name, n in _CHECKPOINT.findall(model.stem)]
 
 
 def _own(path: Path) -> Description:
@@ -241,8 +241,8 @@ def _of_rl_agents(path: Path) -> Description:
 
     Its networks have ReLU between their layers if they do not say otherwise, and its convolutions strides of 2.
     """
-    values = parse_json(read_file(path, MAX_BYTES).decode(errors="replace"), "the metadata of a run")
-    agent, env = (_mapping(_mapping(values).get(key)) for key in ("agent", "env"))
+    values = _read(path)
+    agent, env = (_mapping(values.get(key)) for key in ("agent", "env"))
     model = _mapping(agent.get("model"))
     inner = _mapping(model.get("base_module") or model.get("head_mlp"))
     said: dict[str, Any] = {"activation": str(model.get("activation") or inner.get("activation") or "relu").lower()}
@@ -268,7 +268,7 @@ def _wrapper_names(settings: Mapping[str, Any]) -> list[Any]:
 def _environment(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Return the configuration of a policy's training environment: highway-env's default with the policy's changes."""
     keywords = arguments.get("env_kwargs") or {}
-    changed = keywords.get("config") or {} if isinstance(keywords, Mapping) else {}
+    changed = (keywords.get("config") or {}) if isinstance(keywords, Mapping) else {}
     if not isinstance(changed, dict):
         raise InputError(f"env_kwargs of the policy's args.yml has the config {brief(changed)}, which is no mapping")
     return {**HIGHWAY_ENVIRONMENTS.get(str(arguments.get("env")), {}), **changed}
@@ -286,7 +286,8 @@ _Loader.add_constructor(
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        values = parse_yaml(read_file(path, MAX_BYTES).decode(), _Loader)
+        text = read_file(path, MAX_BYTES).decode()
+        values = parse_json(text, "the metadata of a run") if path.suffix == ".json" else parse_yaml(text, _Loader)
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read: {error!s:.300}") from None
     if values is None:

@@ -41,7 +41,7 @@ _MANTISSA: Final = np.uint64(0x000FFFFFFFFFFFFF)
 _UNIT: Final = 1.0 / 9007199254740992.0  # 2^-53
 
 with np.load(Path(__file__).with_name("ziggurat.npz")) as _tables:
-    # of each layer of the ziggurat: greatest size that is accepted at once, factor from size to x, density at its edge
+    # of each layer of the ziggurat: size below which it is accepted at once, factor from size to x, density at its edge
     _KI: Words = _tables["ki"]
     _WI: Floats = _tables["wi"]
     _FI: Floats = _tables["fi"]

@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNorm
 
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.blocks import BlockwiseNetwork
-from behavexplor.ads.sb3.description import STATISTICS, describe
+from behavexplor.ads.sb3.description import STATISTICS, describe, files_of_model
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.ads.sb3.normalization import Statistics
 from behavexplor.ads.sb3.policy import load_policy
@@ -350,6 +350,14 @@ def test_the_files_of_rl_zoo_may_be_beside_the_model_as_on_the_hub(tmp_path, ppo
     env.save(str(folder / "vec_normalize.pkl"))
     found = describe(folder / "best_model.zip")
     assert (found.statistics, found.simulation_frequency) == (folder / "vec_normalize.pkl", 15)
+
+
+def test_another_pickle_with_the_name_of_the_model_is_not_its_statistics(tmp_path, ppo):
+    (tmp_path / "model.zip").write_bytes(ppo.read_bytes())
+    (tmp_path / "model.pkl").write_bytes(pickle.dumps({"replay": "buffer"}))
+    assert describe(tmp_path / "model.zip").statistics is None
+    assert files_of_model(str(tmp_path / "model.zip")) == [tmp_path / "model.zip"]
+    assert load_policy(tmp_path / "model.zip")
 
 
 def test_two_files_of_statistics_are_refused(tmp_path, ppo):

@@ -11,6 +11,7 @@ from behavexplor.ads.sb3.description import named_env
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.ads.weights.weights_policy import load_weights
 from behavexplor.commands import main
+from behavexplor.errors import InputError
 from tests.ads.sb3.models import make_model
 from tests.ads.weights.files import COMMANDS, FORMS, GRID, KINEMATICS, META, Tutorial, dense, write
 
@@ -124,6 +125,21 @@ def test_rl_agents_metadata_names_the_environment(tmp_path):
     assert load_weights(path).env_config == {"duration": 20}
     (tmp_path / "metadata.0.123.json").write_text(json.dumps({"agent": {"model": 3}, "env": []}))
     assert load_weights(path).description.activation == "relu"
+
+
+def test_metadata_that_cannot_be_read_is_named(tmp_path):
+    path, _ = write(FORMS["rl_agents"], tmp_path)
+    metadata = tmp_path / "metadata.1.json"
+    metadata.mkdir()
+    with pytest.raises(InputError, match=r"metadata\.1\.json cannot be read"):
+        load_weights(path)
+    metadata.rmdir()
+    metadata.write_text("{")
+    with pytest.raises(InputError, match=r"metadata\.1\.json cannot be read"):
+        load_weights(path)
+    metadata.write_text("[1]")
+    with pytest.raises(InputError, match=r"metadata\.1\.json must contain keys and values"):
+        load_weights(path)
 
 
 def test_convolutions_of_rl_agents_have_steps_of_two(tmp_path):
