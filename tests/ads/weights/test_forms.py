@@ -128,8 +128,8 @@ def test_rl_agents_metadata_names_the_environment(tmp_path):
 
 
 def test_metadata_that_cannot_be_read_is_named(tmp_path):
-    path, _ = write(FORMS["rl_agents"], tmp_path)
-    metadata = tmp_path / "metadata.1.json"
+    path, metadata = tmp_path / "checkpoint-best.tar", tmp_path / "metadata.1.json"
+    torch.save({"state_dict": dense(25, 64, 5).state_dict()}, path)
     metadata.mkdir()
     with pytest.raises(InputError, match=r"metadata\.1\.json cannot be read"):
         load_weights(path)
