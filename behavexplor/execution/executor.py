@@ -17,7 +17,7 @@ BATCHES: Final = 2  # batches of calls for each worker: one under way, and one a
 class Executor(ABC):
     """Calls functions of a service by name. Results do not depend on which executor calls them.
 
-    An executor is a context manager: on exit it finishes all calls and shuts down.
+    An executor is a context manager: on exit it finishes all calls and shuts down; after an error it does so at once.
     """
 
     runs_here: ClassVar[bool] = False  # whether calls run in this process, while their results are waited for

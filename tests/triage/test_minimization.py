@@ -16,7 +16,7 @@ from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.scenario import Size
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.execution.executor import ADSError
+from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import SPECS
 from behavexplor.triage.blame import blame
@@ -129,7 +129,7 @@ def test_a_flaky_failure_is_named_and_stays_as_it_is(tmp_path, capsys):
     assert found.load_scenario() == next(record for record in records(folder) if record.id == number).load_scenario()
 
 
-class Dying:
+class Dying(Executor):
     """An executor whose process the driver ends in every call."""
 
     def __init__(self):
@@ -145,6 +145,9 @@ class Dying:
         return future
 
     def shutdown(self, *, wait=True):
+        pass
+
+    def stop(self):
         pass
 
 
