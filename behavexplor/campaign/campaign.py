@@ -157,10 +157,13 @@ class Campaign:
             return
         generator, failed = np.random.default_rng([_UNIFORM, self._config.seed]), 0
         candidates = [Candidate(number, self.logical.sample(generator), "uniform", None) for number in range(count)]
-        for pending in [self._begun(one) for one in candidates]:
-            if self.stopping:
-                return
-            failed += self._judgment(pending).result.failed
+        try:
+            for pending in [self._begun(one) for one in candidates]:
+                if self.stopping:
+                    return
+                failed += self._judgment(pending).result.failed
+        except (ExecutionError, InputError) as error:  # its number is that of one of these, and no stored one
+            raise type(error)(f"In uniformly drawn scenarios beside the search: {error}") from error
         with _kept():
             UniformRate(count, failed).note(self._store)
 

@@ -6,6 +6,7 @@ from contextlib import closing
 import pytest
 
 import behavexplor
+from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.store import Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
@@ -32,6 +33,23 @@ def test_it_grows_with_the_budget_and_is_not_drawn_twice(tmp_path, monkeypatch):
     assert run.resume(Cruiser(), budget=16).summary.uniform.n == 4
     monkeypatch.setattr("behavexplor.campaign.campaign.Campaign._submit", None)
     assert run.resume(Cruiser()).summary.uniform.n == 4
+
+
+def test_what_ends_the_uniform_draws_is_no_stored_execution(tmp_path, monkeypatch):
+    submit, calls = Campaign._submit, []
+
+    def breaking(campaign, number, request):
+        calls.append(number)
+        if len(calls) > 8:
+            raise ExecutionError(f"Execution {number} could not be carried out: it broke")
+        return submit(campaign, number, request)
+
+    monkeypatch.setattr(Campaign, "_submit", breaking)
+    with pytest.raises(
+        ExecutionError, match="In uniformly drawn scenarios beside the search: Execution 0 could not be"
+    ):
+        behavexplor.find_failures(Cruiser(), "S1", budget=8, out=tmp_path / "run")
+    assert len(behavexplor.open_run(tmp_path / "run")) == 8
 
 
 def test_uniform_draws_are_their_own_rate(tmp_path, capsys):
