@@ -167,5 +167,6 @@ def table_markdown(table: Table) -> str:
     for number, row in enumerate(table.rows):
         cells = [shown(row[i], table.columns[i]) for i in columns]
         lines.append([f"**{cell}**" if (number, i) in best else cell for i, cell in zip(columns, cells, strict=True)])
+    lines = [[cell.replace("|", r"\|") for cell in line] for line in lines]
     rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     return f"**{table.title}**\n\n{rows}\n\n{' '.join(table.notes)}\n"

@@ -10,9 +10,11 @@ import hashlib
 import json
 import os
 import stat
+import sys
 import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -196,10 +198,18 @@ def _named_by(modules: Mapping[str, str], code: Iterable[Code]) -> dict[str, str
 
 
 def _refusal(claim: Claim, running: Sequence[Code], digest: str) -> InputError:
+    roots = {one.module.partition(".")[0]: one for one in running}
+    for root, code in roots.items():
+        if root and root not in sys.modules and find_spec(root) is None:
+            return InputError(
+                f"{claim.place} names {code}, but there is no module {root} here: call this in the folder that holds "
+                "it, or add that folder to PYTHONPATH"
+            )
     listed = " and ".join(f"{one}{_place(one)}" for one in running)
+    hint = claim.hint if any(one.key == ADS for one in running) else ""
     return InputError(
         f"{claim.place} would have {listed} run, but this machine has not made this folder, or it has changed since: "
-        f"if you trust it, add --trust {digest} (in Python, trust){claim.hint}"
+        f"if you trust it, add --trust {digest} (in Python, trust){hint}"
     )
 
 

@@ -68,7 +68,7 @@ class Result:
         error: "kind" and "message" of the ADS's own failure, see `behavexplor.execution.executor.ADSError`; None if it
             drove.
         duration: simulated time [s].
-        violated: names of the violated specs, the most severe first; ("error",) if the ADS itself failed.
+        violated: names of the violated specs, in the order of the specs; ("error",) if the ADS itself failed.
         violation_class: class of the violation, see `behavexplor.judge.classes`; None for a passed execution.
         fault: fault for a collision, see `behavexplor.judge.fault`; None without one.
         degree: sum of the violation degrees (the paper's O).
@@ -86,7 +86,7 @@ class Result:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Return the result that a record has as JSON values."""
+        """Return the result of these JSON values, the members of a record that `result_members` gives."""
         named = {_FIELDS.get(key, key): value for key, value in values.items()}
         named["violated"] = tuple(values["violated"])
         return cls(**named)

@@ -8,6 +8,7 @@ Exit codes: 0 success (finding violations is a success), 1 a check failed, 2 wro
 import errno
 import logging
 import os
+import shutil
 import sys
 import sysconfig
 import tempfile
@@ -45,6 +46,7 @@ NO_TEMPORARY_FOLDER: Final = (
     "There is no folder for temporary files: set the environment variable TMPDIR to a folder that can be written"
 )
 _MATPLOTLIB: Final = "MPLCONFIGDIR"  # names the folder in which matplotlib keeps its cache
+_NARROWEST: Final = 20  # columns of a terminal for which help is made
 _OUTPUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # if the error names no file, standard output has failed
 
 
@@ -58,6 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115 - for the whole process
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
+    if shutil.get_terminal_size().columns < _NARROWEST:  # tyro never ends if no word fits
+        os.environ["COLUMNS"] = str(_NARROWEST)
     with _notices(quiet="--quiet" in given), folder_for_matplotlib():
         return _run(given)
 

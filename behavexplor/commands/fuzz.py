@@ -244,7 +244,7 @@ def fuzz(
 
 
 def _check_together(flags: RunFlags, given: Mapping[str, Any]) -> None:
-    """Check flags that do not depend on the campaign."""
+    """Check the range of --stop-after, and that no flag beside --resume gives another configuration or folder."""
     if flags.stop_after is not None and flags.stop_after < 1:
         raise InputError(f"--stop-after {flags.stop_after} must be at least 1")
     if flags.resume and (flags.config or flags.out or "specs" in given):
@@ -255,7 +255,7 @@ def _check_together(flags: RunFlags, given: Mapping[str, Any]) -> None:
 
 def _checked(code: int, progress: Progress, folder: Path, checks: Checks, output: Output) -> int:
     """Write the findings of a campaign to files, check them, and return the exit code."""
-    if (output.json_file, output.junit, checks) == (None, None, Checks()) and not progress.violations.get(ERROR):
+    if not (output.json_file or output.junit or progress.violations.get(ERROR)) and checks == Checks():
         return code  # without reading the whole run once more
     found = summarize(folder)
     write_json(output.json_file, summary_values(found, folder, checks))
@@ -284,8 +284,8 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
             code, failure = EXECUTION_FAILED, str(error)
         else:
             failure = ended
-    if code == OK and not campaign.stopping and (lost := _confirm(campaign, display)):
-        code, failure = EXECUTION_FAILED, lost
+    if code == OK and not campaign.stopping and (reason := _confirm(campaign, display)):
+        code, failure = EXECUTION_FAILED, reason
     if store.lost is not None:
         say(f"{program()}: {store.lost} was deleted or moved, and with it the results", file=sys.stderr)
         return EXECUTION_FAILED
@@ -329,7 +329,7 @@ def _checked_workers(workers: int | None, cluster: str | None) -> int:
 
 def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
     in_file = read_config(file) if file else {}
-    specs = campaign_config({"specs": in_file.get("specs", ())}).specs
+    specs = campaign_config({"specs": in_file.get("specs", ())}).specs  # checked before those given are appended
     values = {**in_file, **given, "specs": (*specs, *given.get("specs", ()))}
     check_said_twice(values, given, file or "")
     trained = None
@@ -344,8 +344,10 @@ def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
 def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
     """Return the configuration in a run folder, with the given budget, if any; nothing else may be changed."""
     fixed = {name: value for name, value in given.items() if name not in ("trust", "budget")}
+    if "ads" in fixed:
+        fixed["ads"] = os.path.expanduser(fixed["ads"])  # noqa: PTH111 - as in `_new_config`
     check_unchanged(fixed, stored_config(run).says, "run")
-    names = tuple(value for value in given.values() if isinstance(value, str))
+    names = tuple(value for value in fixed.values() if isinstance(value, str))  # what the user typed may be imported
     consent = Consent(given.get("trust", ()), given.get("unconfined", False), names)
     config = accepted_run(run, consent, ALL, goes_on=True)
     return replace(config, budget=given.get("budget", config.budget))

@@ -11,7 +11,7 @@ import tyro
 from junitparser import Attr, Failure, JUnitXml, TestCase, TestSuite
 
 from behavexplor.data.durable import check_given, write_given, writing
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, printable
 
 STDOUT: Final = Path("-")  # in place of a file: standard output
 JsonFile = Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")]
@@ -81,13 +81,13 @@ def write_junit(
     element = TestSuite(f"behavexplor {suite}")
     time = round(seconds, 3)
     for name, value in properties.items():
-        element.add_property(name, value)
+        element.add_property(name, printable(value))
     for result in results:
-        case = _Case(result.name, classname=suite, time=time if len(results) == 1 else None)
+        case = _Case(printable(result.name), classname=suite, time=time if len(results) == 1 else None)
         if result.file is not None:
-            case.file = str(result.file)
+            case.file = printable(str(result.file))  # XML holds no characters that are none
         if result.failure:
-            case.result = [Failure(result.failure, result.kind)]
+            case.result = [Failure(printable(result.failure), result.kind)]
         element.add_testcase(case)
     element.time = time  # after the cases, whose times junitparser would add up
     document = JUnitXml()

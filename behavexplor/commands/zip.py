@@ -35,6 +35,9 @@ def zip(  # noqa: A001 - the command's name
         raise InputError(f"{policy} is no network of `train`: give a file policy.npz, or learned:NAME")
     if out.suffix != ".zip":
         raise InputError(f"--out {out} must end with .zip")
+    for file in (out, out.with_suffix(".yaml")):
+        if file.exists():
+            raise InputError(f"{file} is there already, and is kept: name another file for --out")
     network = read_network(path)
     trained_in = env or _env_of(path)
     try:

@@ -11,7 +11,7 @@ _FORMULA: Final = ("=", "+", "-", "@", "\t")  # a spreadsheet computes a text th
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows of texts and numbers as CSV. A text that a spreadsheet would compute begins with an apostrophe."""
+    """Return rows of texts and numbers as CSV. Texts are made printable, and formulas get an apostrophe in front."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     for row in rows:

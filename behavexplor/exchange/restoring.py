@@ -67,7 +67,7 @@ def _drawn(scene: SceneFile, logical: LogicalScenario) -> Scenario:
         )
     if scene.is_changed:
         raise InputError(
-            f"The draws of a scene of {logical.name} cannot be changed, because its trajectories would not be theirs: "
+            f"The draws of a scene of {logical.name} cannot be changed, because other draws give other trajectories: "
             "export the scene again"
         )
     logical.check(scene.scenario)
@@ -100,13 +100,13 @@ def _npc(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
             raise InputError(f"{mover.name} has neither a trajectory nor the properties {ROUTE} and {WAYPOINTS}")
         raise InputError(
             f"{mover.name} has no trajectory, and its start, route or speed profile is not that which was exported "
-            f"with its properties: change {ROUTE} and {WAYPOINTS} to what it shall drive, and remove {RECORDED}"
+            f"with its properties: change {ROUTE} and {WAYPOINTS} to what it should drive, and remove {RECORDED}"
         )
     return replace(fitted_script(mover, ranges), type=mover.type)
 
 
 def _has_box(mover: Mover, length: float, width: float) -> bool:
-    """Return whether a vehicle has a bounding box with this size, and with its center where it was written."""
+    """Return whether a vehicle has a bounding box with this size, and with its center where an export puts it."""
     box = np.array([length, width, REAR_AXLE * length, 0.0])
     return bool(np.abs(np.array([*mover.size, *mover.center]) - box).max() <= _SAME)
 
@@ -133,7 +133,7 @@ def fitted_script(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
     if (np.cos(motion[:, HEADING] - mover.pose[:, 2]) < 0).any():
         raise InputError(
             f"{mover.name}: its headings differ by more than 90 degrees from those of the route {route.name!r}, along "
-            "which it would drive forwards"
+            "which it would drive forward"
         )
     return NPC(mover.type, route.name, tuple(Waypoint(*waypoint) for waypoint in waypoints.tolist()))
 

@@ -76,8 +76,7 @@ def serve(
     with suppress(EOFError, OSError):  # the supervisor has ended
         connection.recv_bytes()  # `STARTED`
         _be_killed_with_supervisor(with_children=output is not None)
-    if hasattr(os, "register_at_fork"):  # not on Windows
-        os.register_at_fork(after_in_child=connection.close)  # a copy that an ADS makes of this process answers nothing
+    _keep_from_copies(connection)
     _leave_pipes()
     service = recipe.make()
     if recipe.long_calls:
@@ -99,6 +98,12 @@ def serve(
         _work(_Answers(connection, recipe.together), requests, service)
     except KeyboardInterrupt:  # workers ignore the key, so an ADS has raised it: it is asked again, alone
         os._exit(1)
+
+
+def _keep_from_copies(connection: Connection) -> None:
+    """Close the connection in each copy that an ADS makes of this process, so that the copy answers nothing."""
+    if hasattr(os, "register_at_fork"):  # not on Windows
+        os.register_at_fork(after_in_child=connection.close)
 
 
 def _leave_pipes() -> None:

@@ -73,7 +73,7 @@ class Niching:
         return self._asker.candidate(self._child(parent.vector, rng), rng, CHILD, parent.number)
 
     def _uniform_share(self) -> float:
-        """Return the share of uniform scenarios after the first ones: no less than the rate of failures among them."""
+        """Return the share of uniform scenarios after the first ones, at least the failure rate of uniform ones."""
         return max(self._options.uniform, self._drawn_failed / max(self._drawn, 1))
 
     def _child(self, parent: Floats, rng: np.random.Generator) -> Floats:
@@ -94,13 +94,13 @@ class Niching:
         score = 0.0 if verdict.violated else _LEAST + time_left
         self._seen[niche] += 1
         self._parents.append(_Parent(candidate.number, self._asker.told(candidate), score, niche))
-        self._parents = sorted(self._parents, key=self._worth)[: self._options.population]
+        self._parents = sorted(self._parents, key=self._penalized)[: self._options.population]
         if candidate.origin == UNIFORM:
             self._drawn += 1
             self._drawn_failed += bool(verdict.violated)
         return {"time_left": time_left}
 
-    def _worth(self, parent: _Parent) -> float:
+    def _penalized(self, parent: _Parent) -> float:
         return parent.score + self._options.penalty * math.log(self._seen[parent.niche])
 
     def status(self) -> Mapping[str, float]:

@@ -72,7 +72,7 @@ class VariationOptions:
     """Normal variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1)."""
 
     iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05  # standard deviation of a gene's noise, in shares of its range
-    line_sigma: Annotated[float, between(0, 10)] = 0.2  # deviation of the step to the second, in shares of the distance
+    line_sigma: Annotated[float, between(0, 10)] = 0.2  # same for the step to the second elite, in shares of the way
     # probability that an NPC stays as in the first elite. Noise on all NPCs at once would destroy most of what made the
     # elite good.
     npc_keep_probability: Annotated[float, between(0, 0.95)] = 0.5
@@ -96,8 +96,8 @@ class EliteSearch:
             archives = import_module("ribs.archives")  # slow to import
         except ImportError as error:
             raise missing_library(f"The search method {self._name!r}", "pyribs", "search") from error
-        size, numbers = self._asker.encoding.size, {ELITES: ((), np.int64)}
-        self._archive: Any = getattr(archives, archive)(solution_dim=size, extra_fields=numbers, seed=0, **settings)
+        make, size = getattr(archives, archive), self._asker.encoding.size
+        self._archive: Any = make(solution_dim=size, extra_fields={ELITES: ((), np.int64)}, seed=0, **settings)
 
     @property
     def foreseen(self) -> int:
@@ -152,7 +152,7 @@ class MAPElites(EliteSearch):
         super().__init__(logical, seed, options, "GridArchive", dims=[options.bins] * n, ranges=[(0.0, 1.0)] * n)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Put a scenario into an empty cell, or in place of a worse elite; return the `cell`, and if it was `kept`."""
+        """Put a scenario into its cell if no elite there is as good; return the `cell`, and whether it was `kept`."""
         measures = describe(trace, self._options.measures)
         objective = 0.0 if verdict.failed else -verdict.degree
         added = self._archive.add_single(self._asker.told(candidate), objective, measures, **{ELITES: candidate.number})
@@ -188,7 +188,7 @@ class NoveltySearch(EliteSearch):
         super().__init__(logical, seed, options, "ProximityArchive", measure_dim=len(options.measures), **settings)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Keep a novel scenario; return its mean `distance` from the nearest kept ones (1 if none), and if `kept`."""
+        """Keep a novel scenario. Return its novelty as `distance` (1 for the first one), and whether it was `kept`."""
         measures = describe(trace, self._options.measures)
         first = self._archive.empty
         added = self._archive.add_single(self._asker.told(candidate), None, measures, **{ELITES: candidate.number})

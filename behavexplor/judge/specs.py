@@ -213,7 +213,7 @@ def _line_distance(trace: Trace) -> float:
 def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
     """Return the least of n distances [m], given cheap bounds. A value of at most a trace's resolution counts as 0.
 
-    `lower` are lower bounds, shape (n,), `upper` is an upper bound of the least. `exact` computes distances by index.
+    `lower` are lower bounds, shape (n,). `upper` is an upper bound of the least. `exact` computes distances by index.
     """
     open_ = np.flatnonzero(lower - _TOLERANCE <= upper)
     order = open_[np.argsort(lower[open_], kind="stable")]

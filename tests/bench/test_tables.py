@@ -371,6 +371,8 @@ def test_the_best_of_a_block_is_marked_also_where_two_look_alike():
     assert "3.0 [2.0, 4.0]*" in text(table)
     assert "| a | **3.0 [2.0, 4.0]** |" in table_markdown(table)
     assert "| d | 5.0 [4.0, 6.0] |" in table_markdown(table)
+    piped = Table("piped", "Piped", (Column("A|B"), Column("C")), (("a|b", "c"),))
+    assert "| A\\|B | C |\n| --- | --- |\n| a\\|b | c |" in table_markdown(piped)
 
 
 def test_a_markdown_table_marks_the_best_and_has_its_notes():

@@ -1,10 +1,12 @@
 """Which folders are this machine's: the list of them, and how a folder of another machine becomes one."""
 
+import importlib
 import os
 import re
 import stat
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -40,6 +42,19 @@ def run(config, folder, *, resume, until_its_end=True):
     with opened(config, folder, 0, resume=resume) as ready:
         if until_its_end:
             ready.campaign.run(lambda _: None)
+
+
+def test_a_module_that_is_not_here_is_named_and_nothing_is_to_be_trusted(machine, config, tmp_path, monkeypatch):
+    run(config, tmp_path / "run", resume=False)
+    stored = stored_config(tmp_path / "run")
+    del sys.modules["own_spec_of_a_run"]
+    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if Path(folder) != tmp_path])
+    importlib.invalidate_caches()
+    with pytest.raises(
+        InputError, match="there is no module own_spec_of_a_run here: call this in the folder"
+    ) as refused:
+        accepted(stored)
+    assert "--trust" not in str(refused.value)
 
 
 def test_a_folder_that_was_trusted_is_this_machines_once_all_of_it_came_out_again(machine, config, tmp_path):

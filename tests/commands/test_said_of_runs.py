@@ -35,6 +35,14 @@ def ended(store, reason=None, **campaign):  # noqa: F811 - the fixture
     ), stream.getvalue()
 
 
+def test_the_same_driver_below_the_home_folder_resumes_a_run(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    stored = CampaignConfig(ads=str(tmp_path / "p.zip"))
+    Store.create(tmp_path / "run", stored.to_yaml()).close()
+    monkeypatch.setattr(fuzz, "accepted_run", lambda *_, **__: stored)
+    assert fuzz._resumed_config(tmp_path / "run", {"ads": "~/p.zip"}) == stored
+
+
 def test_only_a_used_budget_completes_a_run(store):  # noqa: F811
     progress = Progress(executions=3, resumed=3)
     assert "already complete" in ended(filled(store), progress=progress)[1]

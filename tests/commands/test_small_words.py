@@ -17,6 +17,7 @@ from behavexplor.campaign.config import campaign_config, stored_config
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, main
 from behavexplor.commands.arguments import COMMANDS, SEVERAL_TIMES
 from behavexplor.commands.check import result
+from behavexplor.commands.outputs import CaseResult, write_junit
 from behavexplor.envs.making import environment_id
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
@@ -183,6 +184,26 @@ def test_results_are_shown_before_their_files_are_written(tmp_path, monkeypatch,
     printed = capsys.readouterr()
     assert "FAIL  R2-7\n      Touched a line" in printed.out
     assert "cannot be written" in printed.err
+
+
+def test_junit_files_hold_paths_that_are_no_text(tmp_path):
+    case = CaseResult("na\udcffme", "fail\x00ed", file=Path("su\udcffte/case.json"))
+    write_junit(tmp_path / "file.xml", "check", [case], {"ads": "po\udcfflicy.zip"}, 1.0)
+    (suite,) = ET.fromstring((tmp_path / "file.xml").read_text())
+    assert suite.find("testcase").get("file") == "su\\udcffte/case.json"
+    assert suite.find("testcase/failure").get("message") == "fail\\x00ed"
+
+
+def test_help_ends_on_the_narrowest_terminal():
+    environment = {**os.environ, "COLUMNS": "1"}
+    command = [sys.executable, "-m", "behavexplor", "status", "--help"]
+    shown = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=True).stdout
+    assert "RUN" in shown
+
+
+def test_a_folder_that_does_not_exist_is_not_said_to_lack_a_file(tmp_path, capsys):
+    assert main(["status", str(tmp_path / "nowhere")]) == BAD_INPUT
+    assert f"There is no folder {tmp_path / 'nowhere'}" in " ".join(capsys.readouterr().err.split())
 
 
 def test_one_output_is_standard_output_and_nothing_else_is_on_it(monkeypatch, capsys):

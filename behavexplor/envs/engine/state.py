@@ -79,7 +79,7 @@ TRAITS: Final = record_type(
     heading_gain=np.float64,  # STEERING_PARAMETERS of LINEAR
     offset_gain=np.float64,
     speed_exponent=np.float64,  # 2; the compiler would replace a constant by a product, which rounds differently
-    checks_collisions=np.bool_,  # also of the other kinds
+    checks_collisions=np.bool_,  # of every kind, as the first six fields are
     changes_lanes=np.bool_,
 )
 

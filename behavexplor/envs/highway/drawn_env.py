@@ -21,6 +21,7 @@ from behavexplor.envs.highway.course import road_plan, road_shape
 from behavexplor.envs.highway.episode_record import EpisodeRecord, Watch, has_arrived
 from behavexplor.envs.highway.generator import DrawnGenerator
 from behavexplor.envs.highway.wide_traffic import widen
+from behavexplor.errors import InputError
 
 MOST_DECISIONS: Final = 10_000  # of an episode that its environment would never end
 _PROBES: Final = 3  # resets from which the environment's draws are read
@@ -65,6 +66,17 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         layout = self._layout()  # first, because an environment may also draw keys of its configuration
         self._setup = Setup(name, config_text(self.inner.config), traffic, highway_env.__version__)
         self.logical = DrawnLogicalScenario(self._setup, layout)
+
+    def __reduce__(self) -> str:
+        """Refuse to be copied or pickled: the copy's episode would go on in this environment's road.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            "A highway-env environment that records its episodes cannot be copied: make another one, reset it with "
+            "the scenario of this one, and take the same actions"
+        )
 
     @property
     def config(self) -> dict[str, Any]:

@@ -40,8 +40,8 @@ def start(world: World, task: Task, scene: Scene, words: Words) -> None:
     i = place_vehicle(world, scene, AS_EGO, x, y, 0.0, 16.0)
     plan_route(world, scene, i, starts.plans[0])
     vehicles = ((0, 25.0, 13.5), (1, 56.0, 14.5), (3, 0.5, 4.5), (2, 17.5, 5.5), (4, 1.0, 3.5), (5, 30.0, 5.5))
-    for first, station, speed in vehicles:
-        i = place_nearby(world, scene, words, starts.lanes[first], station, speed)
+    for lane, station, speed in vehicles:
+        i = place_nearby(world, scene, words, starts.lanes[lane], station, speed)
         plan_route(world, scene, i, starts.plans[0])
         if i == 1:
             draw_behavior(words, scene, i)

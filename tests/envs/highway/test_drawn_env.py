@@ -1,5 +1,8 @@
 """highway-env's environments, played from their own draws."""
 
+import copy
+import pickle
+
 import gymnasium
 import numpy as np
 import pytest
@@ -149,6 +152,16 @@ def test_the_configuration_is_part_of_the_scenario():
     scenario = env.logical.sample(np.random.default_rng(0))
     with pytest.raises(InputError, match="'policy_frequency' in its configuration is 1, not 5"):
         other.reset(options={"scenario": scenario})
+
+
+def test_it_is_neither_copied_nor_pickled_since_the_copy_would_drive_on_its_road():
+    env = gymnasium.make("behavexplor/drawn-v0", env="highway-fast-v0")
+    env.reset(seed=3)
+    for copied in (copy.copy, copy.deepcopy, pickle.dumps):
+        with pytest.raises(InputError, match="cannot be copied: make another one, reset it with the scenario of this"):
+            copied(env.unwrapped)
+    with pytest.raises(InputError, match="cannot be copied"):
+        copy.deepcopy(env)
 
 
 def test_a_subclass_needs_nothing_of_its_own():
