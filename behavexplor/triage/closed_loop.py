@@ -112,7 +112,10 @@ def find_driver(
 
 
 def _saved(scenario: DrawnScenario, crash: Trace, chance: LastChance) -> list[tuple[str, Trace]]:
-    """Drive as recorded up to the last chance, then take a saving action, and then always the same one."""
+    """Drive as recorded up to the last chance, then take a saving action, and then always the same one.
+
+    A drive that differs from the recorded one before that is left out.
+    """
     indices = [MANEUVERS.index(name) for name in scenario.meta_actions]
     recorded = [indices[int(action)] for action in crash.actions[: -chance.back, 0]]
     pairs = [(saving, name) for saving in chance.saving for name in CONSTANT]
@@ -121,8 +124,11 @@ def _saved(scenario: DrawnScenario, crash: Trace, chance: LastChance) -> list[tu
     same = replace(scenario, setup=_environment(scenario.setup).logical.setup)
     traces = _compiled(scenario.setup, ScriptedDriver(np.array(actions)), same, len(actions))
     until = crash.action_frame[-chance.back] + 1
-    as_recorded = [np.array_equal(one.position[:until, 0], crash.position[:until, 0]) for one in traces]
-    return [pair for pair, is_so in zip(zip(names, traces, strict=True), as_recorded, strict=True) if is_so]
+    return [
+        (name, trace)
+        for name, trace in zip(names, traces, strict=True)
+        if np.array_equal(trace.position[:until, 0], crash.position[:until, 0])
+    ]
 
 
 def _stands(trace: Trace) -> bool:
