@@ -171,7 +171,7 @@ def stored_config(run: Path) -> StoredConfig:
     """
     path = run / CONFIG
     if not run.exists():
-        raise InputError(f"There is no folder {run}")
+        raise InputError(f"{run} is not a run folder: there is no such folder")
     if not path.is_file():
         inside = next(chain(run.glob(f"*/{CONFIG}"), (run / RUNS).rglob(CONFIG)), None)  # it may hold many campaigns
         way = f"name one that it holds, such as {inside.parent}" if inside else "restore the file or start a new run"
