@@ -27,7 +27,7 @@ def zip(  # noqa: A001 - the command's name
 
     Args:
         policy: Network that `train` made (policy.npz), or learned:NAME.
-        out: File for the model, which ends with .zip. A YAML file beside it describes it for --ads.
+        out: New file for the model, which ends with .zip. A YAML file beside it describes it for --ads.
         env: Functional scenario of the network.
     """
     path = policy_file(policy)
