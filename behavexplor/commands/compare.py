@@ -17,10 +17,11 @@ from behavexplor.bench.statistics import holm
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped_folder
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
+from behavexplor.commands.config_flags import settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
-from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience, settings
+from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience
 from behavexplor.commands.wording import say, wrapped
 from behavexplor.data.durable import write_durably, writing
 from behavexplor.errors import InputError, sentence

@@ -23,10 +23,11 @@ from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
+from behavexplor.commands.config_flags import settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.rate_table import rates_table
-from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience, settings
+from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience
 from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.scenario import LogicalScenario

@@ -35,10 +35,11 @@ from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands.config_flags import settings
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
-from behavexplor.commands.shared_flags import Switch, check_unchanged, chosen_workers, flag, patience, settings
+from behavexplor.commands.shared_flags import Switch, check_unchanged, chosen_workers, flag, patience
 from behavexplor.commands.wording import class_count, counted, say, wrapped
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError, sentence

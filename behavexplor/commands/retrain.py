@@ -13,9 +13,10 @@ from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import RUNS, CampaignConfig
 from behavexplor.campaign.provenance import Consent, agreed, own_digests, remember
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands.config_flags import settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.grids import grid, plain_text
-from behavexplor.commands.shared_flags import Switch, Trust, check_unchanged, flag, settings
+from behavexplor.commands.shared_flags import Switch, Trust, check_unchanged, flag
 from behavexplor.commands.trainings import begin_training, progress_line, resumed_config
 from behavexplor.commands.wording import say, wrapped
 from behavexplor.errors import InputError, missing_library, sentence

@@ -1,17 +1,15 @@
-"""Flags that several commands share, or that are fields of a configuration; and the note that a driver is loading.
+"""Flags that several commands share, their checks, and the note that a driver is loading.
 
 The help text of a flag is in the docstring of its command's function, or of the dataclass that it is a field of: a
-group of flags (such as `Running` here), or the configuration (`CampaignConfig`, `Target`).
+group of flags (such as `Running` here), or the configuration, see `behavexplor.commands.config_flags`.
 """
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import MISSING, dataclass, fields
-from inspect import Parameter, Signature, cleandoc
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
-from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final
 
 import tyro
 
@@ -29,19 +27,6 @@ Trust = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(meta
 GivenActivation = Annotated[
     Activation | None, tyro.conf.DisallowNone, tyro.conf.arg(metavar="NAME", help_behavior_hint="")
 ]
-_METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
-    "budget": "N|TIME",
-    "trust": "DIGEST",
-    "specs": "MODULE:NAME",
-    "env_config": "FILE",
-    "activation": "NAME",
-    "share": "P",
-    "rate": "RATE",
-    str: "NAME",
-    int: "N",
-    int | None: "N",
-}
-_SINGULAR: Final = {"specs": "spec"}  # names of flags that differ from their fields, which are plural
 WAITING: Final = "Loading the driver; first-time compilation can take a minute ..."
 
 
@@ -85,74 +70,9 @@ class Running:
 HowToRun = Annotated[Running, tyro.conf.arg(name="")]  # a parameter whose fields are flags
 
 
-def settings(kind: type, names: str, box: str = "", **other: tuple[object, str]) -> Any:
-    """Return tyro's settings of a parameter that is a group of flags, one for each of some fields of a dataclass.
-
-    Name, type, default and description of a flag are those of the field. The parameter gets the values of the flags
-    that were given, by the names of the fields.
-
-    Args:
-        kind: the dataclass.
-        names: its fields that are flags, such as "env ads seed", in the order of the help text.
-        box: title of the flags in the help text, if they have a box of their own there.
-        other: by field, the default that the help text shows instead of the field's, and a text that is added to the
-            description. They change no value.
-    """
-    texts, types = described(kind), get_type_hints(kind)
-    defaults = {one.name: one.default for one in fields(kind)}
-    parameters = []
-    for name in names.split():
-        shown, more = other.get(name, (defaults[name], ""))
-        argument = tyro.conf.arg(
-            name=_SINGULAR.get(name, name),
-            prefix_name=False,
-            metavar=_METAVARS.get(name) or _METAVARS.get(types[name]),
-            help_behavior_hint="" if shown in (MISSING, None, ()) else f"(default: {shown})",
-            help=f"{texts.get(name, '')}{more}",  # python -OO has no descriptions
-        )
-        parameters.append(_flag_parameter(name, types[name], argument))
-    return tyro.conf.arg(name=box, constructor=_taker(parameters))
-
-
-def _flag_parameter(name: str, kind: Any, argument: Any) -> Parameter:
-    """Return the parameter of a flag that may be left out.
-
-    The flag of a tuple is given several times, and that of a mapping is the path of a YAML file.
-    """
-    if get_origin(kind) is tuple:
-        repeated = Annotated[kind, tyro.conf.UseAppendAction, argument]
-        return Parameter(name, Parameter.KEYWORD_ONLY, default=(), annotation=repeated)
-    if any(get_origin(one) in (dict, Mapping) for one in (kind, *get_args(kind))):
-        kind = Path
-    optional = Annotated[kind | None, tyro.conf.DisallowNone, argument]
-    return Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=optional)
-
-
-def _taker(parameters: Sequence[Parameter]) -> Callable[..., dict[str, Any]]:
-    """Return a function with these parameters that returns those that were given, with the contents of YAML files."""
-
-    def given(**values: Any) -> dict[str, Any]:
-        found = {name: value for name, value in values.items() if value not in (None, ())}
-        return {name: read_env_config(value) if isinstance(value, Path) else value for name, value in found.items()}
-
-    given.__signature__ = Signature(parameters)  # type: ignore[attr-defined]  # tyro reads it
-    given.__annotations__ = {**{one.name: one.annotation for one in parameters}, "return": dict[str, Any]}
-    return given
-
-
 def read_env_config(file: Path) -> dict[str, Any]:
     """Read the YAML file that --env-config names; see `behavexplor.campaign.config.read_yaml`."""
     return read_yaml(file, "lanes_count: 3")
-
-
-def described(kind: type) -> dict[str, str]:
-    """Return the descriptions of a dataclass's fields by name, from its docstring and from those of its parents."""
-    found: dict[str, str] = {}
-    for cls in kind.__mro__[::-1]:
-        listed = cleandoc(cls.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
-        entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", listed, re.MULTILINE)
-        found |= {name: " ".join(text.split()) for name, text in entries}
-    return found
 
 
 def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
