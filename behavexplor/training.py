@@ -36,7 +36,7 @@ from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MOST_ENVS
-from behavexplor.data.durable import check_file, folder_in, new_file, write_durably, writing
+from behavexplor.data.durable import check_file, make_folder, new_file, write_durably, writing
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import between, validated
 from behavexplor.envs.making import environment_id
@@ -130,7 +130,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     """
     torch.set_num_threads(1)  # more threads change the last bits
     venv = learning_env(config.env, config.envs)
-    folder_in(folder, MODELS)
+    make_folder(folder, MODELS)
     first, model = _last_model(folder, config, venv)
     model.set_logger(configure(log_folder(folder, f"stage-{first + 1:04d}"), log_formats()))
     reporter = TrainingReporter(observe)
@@ -229,7 +229,7 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
     load_layers(model, network.layers)
     venv.close()
     with writing(path):
-        folder_in(path.parent)  # makes it
+        make_folder(path.parent)  # makes it
         with new_file(path) as file:
             model.save(file)
         write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": env, "decision": network.rule}))
@@ -303,7 +303,7 @@ def log_folder(folder: Path, name: str) -> str:
     Raises:
         OSError: if it or a file in it is a symbolic link, through which Stable-Baselines3 would write.
     """
-    logs = folder_in(folder, LOGS, name)
+    logs = make_folder(folder, LOGS, name)
     for file in logs.iterdir():  # of an earlier attempt
         check_file(file)
     return str(logs)

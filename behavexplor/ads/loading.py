@@ -45,7 +45,8 @@ def check_name(name: str) -> None:
     """Refuse a name that cannot denote an ADS, without loading anything.
 
     Raises:
-        InputError: if the name denotes no ADS; the message says what was probably meant.
+        InputError: if the name is neither a system of this package, nor a file, nor "module:attribute". If it is like
+            one that exists, the message says so.
     """
     system, separator, variant = name.partition(":")
     module = name.removesuffix(".py")
@@ -107,7 +108,7 @@ def load_ads(
 
 
 def _roads_for(subject: str, roadmap: RoadMap | None) -> RoadMap:
-    """Return the road map on which a driver, the subject of the error, follows a route; refuse it if there is none."""
+    """Return the road map, or refuse a driver that needs one if there is none. `subject` begins the message."""
     if roadmap is None:
         raise InputError(
             f"{subject} follows a route on the roads of this package: in an environment of highway-env, name a policy "

@@ -18,7 +18,7 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import identity_of
 from behavexplor.campaign.store import Store
-from behavexplor.data.durable import folder_in, new_file, write_durably, writing
+from behavexplor.data.durable import make_folder, new_file, write_durably, writing
 from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import OF_EPISODES
 from behavexplor.data.trace import Trace
@@ -53,7 +53,7 @@ class RateFolder:
 
     def __init__(self, path: Path, config: CampaignConfig) -> None:
         with writing(f"The folder {path}"):
-            self.path = folder_in(path)
+            self.path = make_folder(path)
         identity = identity_of(config)
         self._config = config
         self._driver = {"digests": dict(identity.digests), "libraries": dict(identity.libraries)}

@@ -1,6 +1,6 @@
 """The runs of an experiment: their states, a runner that executes the unfinished ones, and a forecast of its time.
 
-Its service runs whole campaigns in worker processes and on clusters.
+`CampaignService` runs whole campaigns in worker processes and on clusters.
 """
 
 import io
@@ -28,7 +28,7 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.progress import executing_and_analysing
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.store import Store
-from behavexplor.data.durable import folder_in
+from behavexplor.data.durable import make_folder
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE, evaluator_recipe
@@ -88,7 +88,7 @@ class CampaignService(Service):
             return _to_json(outcome) + b"\n" + pack(folder)
 
     def run_in(self, config: CampaignConfig, folder: Path, workers: int) -> Outcome:
-        """Run or resume a campaign in a run folder; 0 `workers` execute its scenarios in this process."""
+        """Run or resume a campaign in a run folder. `workers` processes execute its scenarios; if 0, this one does."""
         warnings: list[str] = []
         try:
             finished = self._run(config, folder, workers, warnings)
@@ -120,7 +120,7 @@ def campaign_recipe(targets: Iterable[Target]) -> Recipe:
 
 
 def campaign_request(config: CampaignConfig, folder: Path, workers: int, *, remote: bool) -> bytes:
-    """Return the request for `CampaignService.run`; with 0 `workers`, the campaign's own process executes scenarios.
+    """Return the request for `CampaignService.run`, whose `run_in` explains `workers`.
 
     A `remote` campaign may run on a machine without access to the folder, so the folder's contents are part of the
     request.
@@ -156,20 +156,19 @@ def unpack(packed: bytes, folder: Path) -> None:
     """Write the files of a packed run folder, each file atomically."""
     if not packed:
         return
-    with TemporaryDirectory(dir=folder_in(folder.parent), prefix=".unpacking-") as scratch:
+    with TemporaryDirectory(dir=make_folder(folder.parent), prefix=".unpacking-") as scratch:
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
             archive.extractall(scratch, filter="data")
         for path in sorted(path for path in Path(scratch).rglob("*") if path.is_file()):
             inner = path.relative_to(scratch)
-            path.replace(folder_in(folder, *inner.parts[:-1]) / inner.name)
+            place = make_folder(folder, *inner.parent.parts) / inner.name
+            path.replace(place)
 
 
 def _to_json(outcome: Outcome) -> bytes:
     return json.dumps(asdict(outcome)).encode()
 
 
-TRIAL: Final = 10  # number of timed executions
-_WARMING: Final = 2  # number of executions before them, which compile kernels
 _LOOK_SECONDS: Final = 0.5  # interval at which the run folders are checked [s]
 
 
@@ -225,8 +224,15 @@ def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> N
 class ExperimentRunner:
     """Executes the unfinished runs of an experiment.
 
-    It executes `jobs` runs at a time; on a cluster, that is the number of nodes, or 0 for one for each core. Each run
-    has `workers` processes that execute its scenarios; with 0, its own process does. No `cluster` is this machine.
+    Args:
+        runs: all runs of the experiment.
+        root: folder of the experiment.
+        jobs: number of runs at a time; on a cluster, the number of nodes, or 0 for one for each core.
+        workers: number of processes that execute the scenarios of a run; if 0, its own process does.
+        cluster: name of a cluster, see `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
+
+    Raises:
+        InputError: if the folder of a run holds something else; see `run_state`.
     """
 
     def __init__(self, runs: Sequence[PlannedRun], root: Path, jobs: int, workers: int, cluster: str = "") -> None:
@@ -279,7 +285,7 @@ class ExperimentRunner:
     def _fill(self, executor: Executor, at_a_time: int) -> None:
         while self._waiting and len(self._running) < at_a_time and not self.stopping:
             run = self._waiting.popleft()
-            folder = folder_in(self._root, *run.folder.parts)
+            folder = make_folder(self._root, *run.folder.parts)
             if self._cluster:  # its contents are made on a node, and come here later
                 remember(own_run(run.config, folder))
             request = campaign_request(run.config, folder, self._workers, remote=bool(self._cluster))
@@ -305,7 +311,7 @@ class ExperimentRunner:
 
     def _look(self, run: PlannedRun) -> None:
         """Count the stored executions of a run."""
-        with suppress(InputError), closing(Store.read(self._root / run.folder)) as store:  # it may not be complete yet
+        with suppress(InputError), closing(Store.read(self._root / run.folder)) as store:  # the run may not have begun
             self._executions[run] = len(store)
             self._open[run] = int(run.config.budget) - self._executions[run]
 
@@ -317,6 +323,10 @@ class ExperimentRunner:
         self.progress = replace(
             self.progress, executions=done, total=done + left, left=left / rate if rate > 0 else None
         )
+
+
+TRIAL: Final = 10  # number of timed executions
+_WARMING: Final = 2  # number of executions before them, which compile kernels
 
 
 def forecast(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: int) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import Record
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.durable import make_folder, write_durably
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked
@@ -88,7 +88,7 @@ def keep(run: Path, number: int, found: Confirmation) -> None:
     Raises:
         OSError: if the folder cannot be written.
     """
-    write_durably(folder_in(run, FOLDER) / f"{number:06d}.json", json.dumps(asdict(found)) + "\n")
+    write_durably(make_folder(run, FOLDER) / f"{number:06d}.json", json.dumps(asdict(found)) + "\n")
 
 
 def read_confirmations(run: Path) -> dict[int, Confirmation]:

@@ -190,6 +190,8 @@ def members_of(values: Mapping[str, Any]) -> list[str]:
     return [f'"{name}": {encode_json(value)}' for name, value in values.items()]
 
 
-def json_object(members: Iterable[str]) -> str:
-    """Return the JSON object of these members."""
-    return f"{{{', '.join(members)}}}"
+def json_object(members: Iterable[str], *, indented: bool = False) -> str:
+    """Return the JSON object of these members; if `indented`, with a line for each."""
+    if indented:
+        return "{\n " + ",\n ".join(members) + "\n}"
+    return "{" + ", ".join(members) + "}"

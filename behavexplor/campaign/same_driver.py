@@ -1,4 +1,4 @@
-"""Checks that a run's driver has not changed since the run began, and the configuration to execute the run with."""
+"""Whether a run's driver is still that with which it began; and the configuration with which the run is executed."""
 
 import hashlib
 import warnings
@@ -59,14 +59,14 @@ def check_identity(store: Store, now: Identity) -> None:
     if begun is None:
         store.add_note(NOTE, now.to_json())
     elif changed := changes(begun.digests, now.digests):
-        raise _another(store.folder, changed)
+        raise _another_driver(store.folder, changed)
 
 
 def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on: bool = False) -> AcceptedConfig:
     """Return the configuration of a run, by which something may be executed. The working directory may have changed.
 
-    A warning is issued if the driver is not the one with which the run began, and a campaign that `goes_on` is refused.
-    `runs` are keys of the code that would be run, see `behavexplor.campaign.provenance.accepted`.
+    If the driver is not the one with which the run began, a warning is issued, or the campaign is refused if it
+    `goes_on`. `runs` are keys of the code that would be run, see `behavexplor.campaign.provenance.accepted`.
 
     Raises:
         InputError: see `behavexplor.campaign.provenance.accepted`; also if the file of its policy has gone, or the
@@ -76,19 +76,20 @@ def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on:
     try:
         config = accepted(stored, consent, runs)
     except InputError as refusal:
-        raise _explained(refusal, run, stored.says, goes_on=goes_on) from None
-    if ADS not in runs or (begun := _known(run)) is None:
+        raise _refused(refusal, run, stored.says, goes_on=goes_on) from None
+    begun = _identity_at_start(run) if ADS in runs else None
+    if begun is None:
         return config
-    config = replace(config, ads=_found(config, begun))
+    config = replace(config, ads=_name_from_here(config, begun))
     changed = changes(begun.digests, identity_of(config).digests)
     if changed and goes_on:
-        raise _another(run, changed)
+        raise _another_driver(run, changed)
     if changed:
         warnings.warn(f"The driver is not the one with which {run} began: {changed}", stacklevel=3)
     return config
 
 
-def _known(run: Path) -> Identity | None:
+def _identity_at_start(run: Path) -> Identity | None:
     """Return what a run tested when it began; None if that is not known, as in a damaged folder."""
     try:
         with closing(Store.read(run)) as store:
@@ -97,28 +98,34 @@ def _known(run: Path) -> Identity | None:
         return None
 
 
-def _explained(refusal: InputError, run: Path, config: CampaignConfig, *, goes_on: bool) -> InputError:
-    """Return the refusal to run a folder's code, with the modules that have changed since the run began."""
+def _refused(refusal: InputError, run: Path, config: CampaignConfig, *, goes_on: bool) -> InputError:
+    """Return the refusal to run a folder's code, with the modules that have changed since the run began, if any have.
+
+    If the campaign `goes_on`, they are the refusal.
+    """
     code = code_of(config.env, config.ads, config.method, config.specs, config.env_config)
     now = {f"{MODULE}{name}": digest for name, digest in digests_of(one.module for one in code).items()}
-    begun = _known(run)
+    begun = _identity_at_start(run)
     known = {} if begun is None else {name: digest for name, digest in begun.digests.items() if name in now}
     changed = changes(known, {name: now[name] for name in known})
     if not changed:
         return refusal
-    return _another(run, changed) if goes_on else InputError(f"{refusal}. Changed since the run began: {changed}")
+    if goes_on:
+        return _another_driver(run, changed)
+    return InputError(f"{refusal}. Changed since the run began: {changed}")
 
 
-def _another(run: Path, changed: str) -> InputError:
+def _another_driver(run: Path, changed: str) -> InputError:
     return InputError(
         f"{run} cannot be continued, because its campaign would test another driver: {changed}. Put back what has "
         f"changed, or start a new run"
     )
 
 
-def _found(config: CampaignConfig, begun: Identity) -> str:
+def _name_from_here(config: CampaignConfig, begun: Identity) -> str:
     """Return the name of a campaign's driver, from this working directory."""
-    if all(name.startswith(MODULE) for name in begun.digests) or Path(config.ads).exists():  # it is no file
+    is_no_file = all(name.startswith(MODULE) for name in begun.digests)
+    if is_no_file or Path(config.ads).exists():
         return config.ads
     there = Path(begun.folder) / config.ads
     if there.exists():

@@ -13,20 +13,21 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any, Self
+from typing import IO, Any, Final, Self
 
 from behavexplor.campaign import database_rows
 from behavexplor.campaign.database_file import connect, lock_folder
 from behavexplor.campaign.folder_format import CONFIG, DATABASE, DATABASE_FORMAT, FAILURES, LOCK, Losses, failure_path
 from behavexplor.campaign.progress import known_stages
 from behavexplor.campaign.record import Record, json_object
-from behavexplor.data.durable import check_no_file, folder_in, write_durably, write_whole
+from behavexplor.data.durable import check_no_file, make_folder, write_durably, write_whole
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError
 
-_STAGES, _END = "stages", "end"  # names of the notes with the time in each stage, and why the search ended early
+_STAGES: Final = "stages"  # name of the note with the time in each stage
+_END: Final = "end"  # name of the note that says why the search ended early
 _UNFINISHED = {LOCK, f"{CONFIG}.part"}  # files that a run may leave if it is killed before it has begun
 
 
@@ -102,13 +103,13 @@ class Store:
     def _locked(cls, folder: Path, config: str | None) -> Self:
         """Lock a folder and open it for writing."""
         try:
-            lock = lock_folder(folder_in(folder))  # the folder is created if it does not exist
+            lock = lock_folder(make_folder(folder))
         except OSError as error:
             raise _unwritable(folder, error) from None
         try:
             if config is not None:
                 write_durably(folder / CONFIG, config)
-            folder_in(folder, FAILURES)  # created if it does not exist
+            make_folder(folder, FAILURES)
             repaired = _repaired(folder)
             return cls(folder, _prepared(folder), lock, repaired)
         except (OSError, sqlite3.Error) as error:
@@ -231,9 +232,9 @@ class Store:
         return committed
 
     def _write_failure(self, execution: Execution) -> None:
-        members = ",\n ".join(execution.members)  # each is a text `"name": value`
-        path = failure_path(self.folder, execution.id)
-        write_whole(path, f"{{\n {members}\n}}\n")  # not durably: `recall` writes a lost file again from the database
+        text = json_object(execution.members, indented=True) + "\n"
+        # not durably: `recall` writes a lost file again from the database
+        write_whole(failure_path(self.folder, execution.id), text)
 
     def _has_failure_file(self, number: int) -> bool:
         path = failure_path(self.folder, number)
@@ -327,7 +328,7 @@ def check_free(folder: Path) -> None:
     """Check that a run can begin in a folder, if it exists.
 
     Raises:
-        InputError: if it cannot be read, or is not empty.
+        InputError: if it cannot be read or is not empty, or a file is in its place or in that of a folder above it.
     """
     try:
         check_no_file(folder)

@@ -25,7 +25,7 @@ from behavexplor.commands.display import Meter
 from behavexplor.commands.grids import text
 from behavexplor.commands.shared_flags import Switch, Trust
 from behavexplor.commands.wording import clock, counted, say, wrapped
-from behavexplor.data.durable import folder_in, write_durably, writing
+from behavexplor.data.durable import make_folder, write_durably, writing
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import available_cores
 from behavexplor.execution.ray_cluster import parse_cluster
@@ -155,7 +155,7 @@ def _prepare(experiment: Experiment, root: Path) -> None:
         for run in runs:
             search_method(run.config, logical)  # raises if the method or its options are invalid
     with writing(f"The experiment folder {root}"):
-        write_durably(folder_in(root) / EXPERIMENT, experiment.to_yaml())
+        write_durably(make_folder(root) / EXPERIMENT, experiment.to_yaml())
 
 
 def _run(
@@ -205,7 +205,7 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     verdicts = headline(experiment, summaries)
     files[PAGE] = experiment_page(experiment, summaries, [*verdicts, *all_tables], drawn)
     with writing(f"The tables in {root}"):
-        folder_in(root, "tables")
+        make_folder(root, "tables")
         for name, content in files.items():
             write_durably(root / name, content)
         write_archive(campaigns, root)

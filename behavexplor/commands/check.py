@@ -32,7 +32,7 @@ def check(
     Args:
         folder: Folder of the suite.
         ads: Driving system under test, as for fuzz.
-        running: Flags; see `Running`.
+        running: Flags; see `behavexplor.commands.shared_flags.Running`.
         stochastic: Draw the actions of a stochastic policy, as in its training.
         activation: Function between the layers of a policy whose file holds weights alone, as for fuzz.
         json_file: Also write the results to this JSON file; - is standard output, here and below.

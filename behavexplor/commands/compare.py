@@ -17,7 +17,7 @@ from behavexplor.bench.statistics import holm
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped_folder
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
-from behavexplor.commands.config_flags import settings
+from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
@@ -40,9 +40,9 @@ _SETTINGS = settings(
     CampaignConfig,
     "env activation env_config seed method budget specs confirm traffic stochastic trust unconfined",
     box="campaign",
-    env=(f"that of A, or {CampaignConfig.env}", ""),  # the default that the help shows, and an addition to the text
-    method=("nsga2", " Used with --search."),
-    budget=(CampaignConfig.budget, " Used with --search."),
+    env=Shown(f"that of A, or {CampaignConfig.env}"),
+    method=Shown("nsga2", " Used with --search."),
+    budget=Shown(CampaignConfig.budget, " Used with --search."),
 )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, NamedTuple, get_args, get_origin, get_type_hints
 
 import docstring_parser
 import tyro
@@ -30,7 +30,14 @@ _METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
 _SINGULAR: Final = {"specs": "spec"}  # names of flags that differ from their fields, which are plural
 
 
-def settings(kind: type, names: str, box: str = "", **other: tuple[object, str]) -> Any:
+class Shown(NamedTuple):
+    """What the help text shows of a flag in place of its field's default, and after the field's description."""
+
+    default: object
+    more: str = ""
+
+
+def settings(kind: type, names: str, box: str = "", **other: Shown) -> Any:
     """Return tyro's settings of a parameter that is a group of flags, one for each of some fields of a dataclass.
 
     Name, type, default and description of a flag are those of the field. The parameter gets the values of the flags
@@ -40,20 +47,19 @@ def settings(kind: type, names: str, box: str = "", **other: tuple[object, str])
         kind: the dataclass.
         names: its fields that are flags, such as "env ads seed", in the order of the help text.
         box: title of the flags in the help text, if they have a box of their own there.
-        other: by field, the default that the help text shows instead of the field's, and a text that is added to the
-            description. They change no value.
+        other: what the help text shows of some of the flags; it changes no value.
     """
-    texts, types = described(kind), get_type_hints(kind)
+    texts, types = field_descriptions(kind), get_type_hints(kind)
     defaults = {one.name: one.default for one in fields(kind)}
     parameters = []
     for name in names.split():
-        shown, more = other.get(name, (defaults[name], ""))
+        shown = other.get(name, Shown(defaults[name]))
         argument = tyro.conf.arg(
             name=_SINGULAR.get(name, name),
             prefix_name=False,
             metavar=_METAVARS.get(name) or _METAVARS.get(types[name]),
-            help_behavior_hint="" if shown in (MISSING, None, ()) else f"(default: {shown})",
-            help=f"{texts.get(name, '')}{more}",  # python -OO has no descriptions
+            help_behavior_hint="" if shown.default in (MISSING, None, ()) else f"(default: {shown.default})",
+            help=f"{texts.get(name, '')}{shown.more}",  # python -OO has no descriptions
         )
         parameters.append(_flag_parameter(name, types[name], argument))
     return tyro.conf.arg(name=box, constructor=_taker(parameters))
@@ -85,7 +91,7 @@ def _taker(parameters: Sequence[Parameter]) -> Callable[..., dict[str, Any]]:
     return given
 
 
-def described(kind: type) -> dict[str, str]:
+def field_descriptions(kind: type) -> dict[str, str]:
     """Return the descriptions of a dataclass's fields by name, from its docstring and from those of its parents."""
     found: dict[str, str] = {}
     for cls in kind.__mro__[::-1]:

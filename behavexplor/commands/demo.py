@@ -13,7 +13,7 @@ from behavexplor.commands import OK, main, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.shared_flags import flag
 from behavexplor.commands.wording import say
-from behavexplor.data.durable import folder_in, writing
+from behavexplor.data.durable import make_folder, writing
 from behavexplor.errors import InputError, missing_library
 from behavexplor.report.run_page import PAGE
 
@@ -39,7 +39,7 @@ def demo(
         raise missing_library("The demo", error.name, "rl") from None
     folder = out or stamped_folder("demo")
     with writing(f"The folder {folder}"):
-        folder_in(folder)  # creates it
+        make_folder(folder)  # creates it
     if any(folder.iterdir()):
         raise InputError(f"{folder} is not empty: choose another --out")
     say(f"Training a small policy with PPO for {steps} steps ...", flush=True)

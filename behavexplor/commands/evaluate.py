@@ -23,7 +23,7 @@ from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
-from behavexplor.commands.config_flags import settings
+from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.rate_table import rates_table
@@ -53,8 +53,8 @@ _SETTINGS = settings(
     CampaignConfig,
     "env ads activation env_config seed traffic stochastic trust unconfined",
     box="driver",
-    env=(f"the policy's own, or {CampaignConfig.env}", ""),  # default that --help shows, and text after the description
-    stochastic=(False, " By default, the rates with drawn actions are shown, too."),
+    env=Shown(f"the policy's own, or {CampaignConfig.env}"),
+    stochastic=Shown(False, " By default, the rates with drawn actions are shown, too."),
 )
 
 

@@ -20,7 +20,7 @@ from behavexplor.commands.roads import check_libraries, road_of
 from behavexplor.commands.shared_flags import NewFolder, RunFolder, Trust
 from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.conventions import EPISODE_TIME
-from behavexplor.data.durable import folder_in, writing
+from behavexplor.data.durable import make_folder, writing
 from behavexplor.data.road_shape import RoadPlan
 from behavexplor.errors import InputError
 from behavexplor.exchange.scenes import SceneFile, movers_of, write_table
@@ -83,7 +83,7 @@ def export(
 @contextmanager
 def _new_files(out: Path) -> Iterator[Path]:
     """Yield an empty folder. Its files are moved to `out` in the end, unless one would replace a different file."""
-    with TemporaryDirectory(prefix=".export-", dir=folder_in(out)) as folder:
+    with TemporaryDirectory(prefix=".export-", dir=make_folder(out)) as folder:
         yield Path(folder)
         files = {file: out / file.name for file in sorted(Path(folder).iterdir())}
         for file, there in files.items():

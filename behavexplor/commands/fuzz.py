@@ -35,7 +35,7 @@ from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
-from behavexplor.commands.config_flags import settings
+from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
@@ -186,13 +186,13 @@ _DRIVER = settings(
     CampaignConfig,
     "env ads activation env_config traffic stochastic trust unconfined",
     box="driver",
-    env=(f"the policy's own, or {CampaignConfig.env}", ""),
+    env=Shown(f"the policy's own, or {CampaignConfig.env}"),
 )
 _SEARCH = settings(
     CampaignConfig,
     "method budget seed batch specs confirm",
     box="search",
-    method=(
+    method=Shown(
         "behavexplor; in highway-env's environments uniform",
         " Methods:" + "".join(f"\n{name}: {describe_method(name)}" for name in METHODS),
     ),

@@ -37,7 +37,7 @@ def minimize(
         run: The run folder.
         numbers: Numbers of failed executions; by default the first failure of each class.
         every: Minimize all failures.
-        running: Flags; see `Running`.
+        running: Flags; see `behavexplor.commands.shared_flags.Running`.
         afresh: Minimize failures again that have been minimized before. Those for which triage has found another fault
             or cause since then are always minimized again.
     """

@@ -23,7 +23,7 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
 from behavexplor.commands.shared_flags import RunFolder, Switch, Trust, flag
 from behavexplor.commands.wording import hanging, say, wrapped
-from behavexplor.data.durable import folder_in, new_file, writing
+from behavexplor.data.durable import make_folder, new_file, writing
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.errors import InputError, sentence
@@ -39,7 +39,7 @@ from behavexplor.triage.witness import avoids, replay_witness
 
 COLLISION = Collision().name
 
-# arguments of `folder_in`: the folder of --out, or that in the run folder
+# arguments of `make_folder`: the folder of --out, or that in the run folder
 _FolderParts = tuple[Path] | tuple[Path, str]
 
 
@@ -124,7 +124,7 @@ def _repetitions(names: Iterable[str]) -> str:
 def _save(footage: Footage, frame: int, folder_parts: _FolderParts, name: str) -> tuple[Path, Path]:
     """Write an animation and a picture of one frame, and return their paths."""
     with writing(f"The folder {Path(*folder_parts)}"):
-        folder = folder_in(*folder_parts)
+        folder = make_folder(*folder_parts)
     animation, picture = folder / f"{name}.gif", folder / f"{name}.png"
     with writing(f"The pictures in {folder}"):
         with new_file(picture) as file:

@@ -13,7 +13,7 @@ from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import RUNS, CampaignConfig
 from behavexplor.campaign.provenance import Consent, agreed, own_digests, remember
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
-from behavexplor.commands.config_flags import settings
+from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.shared_flags import Switch, Trust, check_unchanged, flag
@@ -25,9 +25,9 @@ from behavexplor.repair.retraining_rounds import CONFIG, DivergedError, Retraini
 _SETTINGS = settings(
     RetrainingConfig,
     "env env_config traffic pool share rounds steps envs rate method budget validation seed",
-    env=(f"the policy's own, or {CampaignConfig.env}", ""),  # default that --help shows, and text after the description
-    envs=("the model's, or 64", ""),
-    rate=("the model's, or 2.5e-4", ""),
+    env=Shown(f"the policy's own, or {CampaignConfig.env}"),
+    envs=Shown("the model's, or 64"),
+    rate=Shown("the model's, or 2.5e-4"),
 )
 
 

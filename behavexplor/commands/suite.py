@@ -37,7 +37,7 @@ def suite(
     Args:
         runs: Run folders of one environment.
         out: Folder of the suite, new or empty.
-        running: Flags; see `Running`.
+        running: Flags; see `behavexplor.commands.shared_flags.Running`.
     """
     if not runs:
         raise InputError("Give at least one run folder, such as runs/my-run")

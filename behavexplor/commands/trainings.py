@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from behavexplor.campaign.config import read_yaml
-from behavexplor.data.durable import folder_in, write_durably, writing
+from behavexplor.data.durable import make_folder, write_durably, writing
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 
@@ -37,7 +37,7 @@ def begin_training(folder: Path, name: str, config: "TrainingConfig | Retraining
         InputError: if the folder is not empty, or cannot be written.
     """
     with writing(f"The folder {folder}"):
-        if any(folder_in(folder).iterdir()):
+        if any(make_folder(folder).iterdir()):
             again = f"--resume {shlex.quote(str(folder))}"
             raise InputError(f"{folder} is not empty: resume with {again}, or choose another --out")
         write_durably(folder / name, config.to_yaml())

@@ -13,12 +13,10 @@ from behavexplor.commands.display import Meter
 from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.shared_flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.wording import class_count, counted, hanging, say, wrapped
-from behavexplor.data.trace import UNKNOWN
 from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Finding, Sighting, Triage, fault_words, tally
 from behavexplor.triage.run_triage import RunTriage
-from behavexplor.triage.signatures import agreement
 
 _NUMBER = re.compile(r" \d+$")  # at the end of "random actions 7"
 _BELOW = " " * 9  # as wide as the number of failures before a class
@@ -32,7 +30,7 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
 
     Args:
         run: The run folder.
-        running: Flags; see `Running`.
+        running: Flags; see `behavexplor.commands.shared_flags.Running`.
         afresh: Examine all failures again.
     """
     work = RunTriage(run, running.accepted_config(run), running.n_workers, afresh=afresh)
@@ -83,7 +81,6 @@ def report(found: Triage) -> str:
                 "triggered: in which it changed the planner's output; "
                 "detected: failures that it caused; first: number of the first such execution."
             ),
-            *_agreements(found.findings),
         ]
     return "\n".join(lines)
 
@@ -129,23 +126,3 @@ def _weakness_table(found: Triage) -> Table:
 def _cells(sighting: Sighting) -> tuple[str, str]:
     """Return the number of executions, and that of the first one, which is empty if there is none."""
     return str(sighting.count), "" if sighting.first is None else str(sighting.first)
-
-
-def _agreements(findings: Sequence[Finding]) -> list[str]:
-    """Return how well signatures and classes, which need no replays, agree with the causes."""
-    caused = [finding for finding in findings if finding.cause not in (None, UNKNOWN)]
-    if not caused:
-        return []
-    causes = [str(finding.cause) for finding in caused]
-    signatures = agreement(causes, [finding.signature or "none" for finding in caused])
-    classes = agreement(causes, [finding.class_id for finding in caused])
-    return [
-        "",
-        wrapped(
-            "The signature, a guess of the cause without replays, "
-            f"is right for {signatures.equal:.0%} of {signatures.n} failures with a known cause "
-            f"(precision {signatures.precision:.2f}, recall {signatures.recall:.2f}). "
-            "The adjusted Rand index says how well a grouping matches the grouping by cause (1: equal, 0: chance): "
-            f"{signatures.adjusted_rand:.2f} for signatures and {classes.adjusted_rand:.2f} for classes."
-        ),
-    ]

@@ -128,7 +128,7 @@ def _new(partial: Path) -> BufferedWriter:
         return partial.open("xb")
 
 
-def folder_in(folder: Path, *names: str) -> Path:
+def make_folder(folder: Path, *names: str) -> Path:
     """Return a folder, or the one inside it that the names lead to. All are created if they do not exist.
 
     Raises:

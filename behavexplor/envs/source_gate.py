@@ -2,8 +2,8 @@
 
 An engine was ported from highway-env's classes and from those of this package. Another release of highway-env may drive
 differently, and so may a program that replaces a method or a constant of a class while it runs. `source_digests.json`
-has what was ported: for each class of highway-env the digest of the source of every function, and the value of every
-constant.
+has what was ported: for each class of highway-env, and for some of its modules, the digest of the source of every
+function, and the value of every constant.
 """
 
 import ast
@@ -34,7 +34,7 @@ _DRAWING: Final = frozenset(  # attributes of an environment that change picture
     {"metadata", "render", "close", "update_metadata", "set_record_video_wrapper", "_automatic_rendering"}
 )
 REWARDS: Final = frozenset({"_reward", "_rewards"})  # methods for the reward, which drivers are not told
-# Parameters of `IDMVehicle`, and the values that `IntersectionEnv` sets in this class.
+# Parameters of `IDMVehicle`, each with its own value and with the one that `IntersectionEnv` sets in this class.
 OF_INTERSECTION: Final = MappingProxyType(
     {"DISTANCE_WANTED": (10.0, 7), "COMFORT_ACC_MAX": (3.0, 6), "COMFORT_ACC_MIN": (-5.0, -3)}
 )
@@ -70,7 +70,7 @@ def replaced(cls: type, known: type, allowed: Collection[str] = ()) -> str | Non
     free = {*allowed, "__str__", "__repr__"}
     for base in cls.__mro__[: cls.__mro__.index(known)]:
         for name, value in vars(base).items():
-            hides = hasattr(type(value), "__set__") and name in attributes  # as a property hides it
+            hides = hasattr(type(value), "__set__") and name in attributes  # as a property does
             if name not in free and _is_rule(name, value) and (hasattr(known, name) or hides):
                 return f"{base.__name__}.{name}"
     return None
@@ -139,7 +139,7 @@ class ChangeGuard:
         self._values = tuple(map(tuple, self._views))
 
     def is_current(self) -> bool:
-        """Return whether nothing has changed, also within lists and arrays."""
+        """Return whether nothing has changed, also within lists, dictionaries and arrays."""
         try:
             self.check()
         except InputError:
@@ -176,7 +176,7 @@ def guard_of(
     that was made before is taken again if nothing has changed, since the comparison takes milliseconds.
 
     Raises:
-        ChangedError: if it does not. The message names what is different.
+        ChangedError: if a function or constant is another one. The message names it.
     """
     known = _guards.get((classes, exempt))
     if known is None or any(_changed_imports()) or not known.is_current():
@@ -196,8 +196,8 @@ def _matters(owner: Owner, name: str, value: object) -> bool:
         return False
     if isinstance(owner, ModuleType):
         return type(value) is FunctionType and value.__module__ == owner.__name__  # `isinstance` loads late modules
-    hides = any(name in vars(parent) for parent in owner.__mro__[1:])
-    return _package(owner) in _PACKAGES or _codes(value) is not None or hides
+    replaces = any(name in vars(parent) for parent in owner.__mro__[1:])
+    return _package(owner) in _PACKAGES or _codes(value) is not None or replaces
 
 
 def _is_of_intersection(name: str, value: object) -> bool:
@@ -319,12 +319,14 @@ def _digests(module: str) -> dict[str, str]:
     lines = source.splitlines()
     found: dict[str, str] = {}
     for name, node in _functions(ast.parse(source)):
-        text = found.get(name, "") + "\n".join(lines[node.lineno - 1 : node.end_lineno])
-        found[name] = hashlib.sha256(text.encode()).hexdigest()[:16]
+        earlier = found.get(name, "")  # digest of the getter of a property, if this is its setter
+        text = "\n".join(lines[node.lineno - 1 : node.end_lineno])
+        found[name] = hashlib.sha256((earlier + text).encode()).hexdigest()[:16]
     return found
 
 
 def _functions(tree: ast.Module | ast.ClassDef, prefix: str = "") -> Iterator[tuple[str, ast.FunctionDef]]:
+    """Yield the functions of a module and of its classes, with their qualified names."""
     for node in tree.body:
         if isinstance(node, ast.ClassDef):
             yield from _functions(node, f"{prefix}{node.name}.")

@@ -27,8 +27,6 @@ _WHERE_CONFIGURED: Final = MappingProxyType(
         MEMORY: "as env_config, or give an environment that has it instead of an id",
     }
 )
-
-
 _SO_NOT_REPLAYED: Final = (
     "so failures can be neither confirmed nor replayed: it must draw by its attribute np_random alone"
 )
@@ -82,10 +80,10 @@ def _rows_with_values(observation: Observation) -> NDArray[np.bool_]:
 def preflight_warnings(simulation: Simulation) -> list[str]:
     """Drive a few scenarios and return warnings about the ADS, a sentence for each finding.
 
-    Findings are that the ADS sees observations flattened or stacked, fails, always gives the same answer, never moves,
-    was trained with masks of actions, or on a different kind of observations. The last happens when its `VecNormalize`
-    statistics are missing. Further, that a scenario does not repeat, alone or beside others, that the environment is
-    not compiled, or that its configuration is not known.
+    On the ADS: it fails, never moves, always gives the same answer, sees or acts through wrappers, or was trained with
+    masks of actions or on a different kind of observations, as when its `VecNormalize` statistics are missing. On the
+    environment: its configuration is not known, it is not compiled, or a scenario does not repeat, alone or beside
+    others.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -98,7 +96,7 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     seen = joined([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)
     findings = (
-        getattr(simulation.ads, "said", None),
+        getattr(simulation.ads, "said", None),  # what wrappers do to its observations and actions
         _unconfigured(simulation),
         _uncompiled(simulation),
         _unrepeatable(simulation, scenarios[0], traces[0]),
@@ -111,7 +109,10 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
 
 
 def _traces(simulation: Simulation, ads: Any, scenarios: list[Scenario]) -> list[Trace]:
-    """Return the traces of scenarios, in order, of the compiled environment if there is one; together if possible."""
+    """Drive scenarios, in the compiled environment if there is one, and return their traces in the same order.
+
+    The ADS drives them together if it allows that.
+    """
     envs = simulation.compiled(len(scenarios))
     if envs is None:
         return [rollout(simulation.env, simulation.driver(1, ads), scenario) for scenario in scenarios]
@@ -186,11 +187,17 @@ def _constant(simulation: Simulation, actions: list[NDArray[Any]]) -> str | None
     stacked = np.concatenate(actions)
     if (stacked != stacked[0]).any():
         return None
+    draws_when_trained = getattr(simulation.ads, "noise", 0) and not simulation.stochastic
+    advice = _WITH_DRAWS if draws_when_trained else ""
+    choice = _named_action(simulation, stacked[0])
+    return f"The driver always chooses {choice} ({len(stacked)} decisions in {SCENARIOS} scenarios){advice}"
+
+
+def _named_action(simulation: Simulation, action: Any) -> Any:
+    """Return the name of a discrete action of highway-env, such as "FASTER"; any other action as it is."""
     env = getattr(simulation.env.unwrapped, "inner", simulation.env.unwrapped)
     names = getattr(getattr(env, "action_type", None), "actions", None)
-    choice = names[int(stacked[0])] if isinstance(names, Mapping) and stacked[0].ndim == 0 else stacked[0]
-    advice = "" if simulation.stochastic or not getattr(simulation.ads, "noise", 0) else _WITH_DRAWS
-    return f"The driver always chooses {choice} ({len(stacked)} decisions in {SCENARIOS} scenarios){advice}"
+    return names[int(action)] if isinstance(names, Mapping) and action.ndim == 0 else action
 
 
 def _motionless(traces: list[Trace]) -> str | None:

@@ -132,9 +132,9 @@ class RayExecutor(Executor):
         self._thread = ThreadPoolExecutor(1)  # makes all decisions; others, such as Ray's threads, tell it what is next
         self._calls_at_once = 1 if recipe.long_calls else sys.maxsize  # of one actor
         self._left = False  # whether `shutdown` has been called
-        self._stopped = False  # whether `stop` has been called, after which lost calls are not repeated
+        self._stopped = False  # whether the calls are to end, after which lost calls are not repeated
         # only the thread changes this and the following fields
-        self._calls: WeakSet[Future[bytes]] = WeakSet()  # all calls
+        self._calls: WeakSet[Future[bytes]] = WeakSet()  # all that someone still waits for
         self._waiting: deque[_Call] = deque()
         self._ready: dict[Any, set[Future[bytes]]] = {}  # the calls of each actor that has begun and is not lost
         self._timer = Timer(BEGIN_SECONDS, self._enqueue)  # never started: `_begin` replaces it
@@ -234,8 +234,10 @@ class RayExecutor(Executor):
         """Give waiting calls to the least busy actors that have room for them."""
         while self._waiting and (free := self._free()):
             call = self._waiting.popleft()
+            if call.future.done():  # cancelled while it waited
+                continue
             # a future is running already if its first node was lost
-            if call.future.done() or not (call.future.running() or call.future.set_running_or_notify_cancel()):
+            if not call.future.running() and not call.future.set_running_or_notify_cancel():
                 continue
             actor = min(free, key=lambda actor: len(self._ready[actor]))
             self._ready[actor].add(call.future)
@@ -247,7 +249,7 @@ class RayExecutor(Executor):
         return [actor for actor, calls in self._ready.items() if len(calls) < self._calls_at_once]
 
     def _answered(self, actor: Any, call: _Call, answer: "Future[bytes]") -> None:
-        """Pass an answer on; or wait for a lost actor to be restarted, and make its call again on another one."""
+        """Pass an answer on; or let a call wait again whose actor is lost, which tells when it is restarted."""
         self._ready.get(actor, set()).discard(call.future)
         error = answer.exception()
         losses = call.losses + 1

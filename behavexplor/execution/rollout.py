@@ -23,7 +23,6 @@ from behavexplor.errors import brief, described, place_of
 from behavexplor.execution.executor import ADSError
 
 STREAM: Final = 0x64_72_61_77  # separates the random numbers of drawn actions from others
-_LEAST_ROOM: Final = 64  # rows of a log of decisions
 COPIED: Final = 84  # exit code of a copy of a worker's process that an ADS has made
 
 _asking: list[Any] = [SimpleNamespace(value=0)]  # 1 while the ADS is being called
@@ -31,7 +30,7 @@ _worker: list[int] = []  # the process in which it is called, if that is a worke
 
 
 def share_asking(flag: Any) -> None:
-    """Set the flag whose `value` tells another process, as 1 or 0, whether this process is calling the ADS."""
+    """Set the flag whose `value` tells another process, as 1 or 0, whether this worker's process is calling the ADS."""
     _asking[0] = flag
     _worker[:] = [os.getpid()]
 
@@ -46,9 +45,13 @@ def ask(
 ) -> tuple[NDArray[Any], Any]:
     """Call an ADS, and return its actions, shape (B, ...), and its state; every failure becomes an `ADSError`.
 
-    `observation` has a row for each of B sub-environments, whose action space is `space`. `state` is that of the last
-    call. `start`, shape (B,), is True where an episode begins, and `counts`, shape (B,), for each row whose action is
-    used; `counts` is None if all are used.
+    Args:
+        ads: the ADS.
+        observation: a row for each of B sub-environments.
+        state: the state that the last call returned.
+        start: whether an episode begins in each row, shape (B,).
+        space: action space of a sub-environment.
+        counts: whether the action of each row is used, shape (B,); None if all are.
 
     Raises:
         ADSError: if the ADS fails, or its answer is not a valid action.
@@ -108,7 +111,7 @@ def _checked(
 
 
 def _check_values(actions: NDArray[Any], space: gymnasium.Space[Any]) -> None:
-    """Check actions of the right shape."""
+    """Check the values of actions, whose shape is right."""
     if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
         raise _AnswerError(f"predict must return finite numbers as actions, got {actions!r:.80}")
     if isinstance(space, gymnasium.spaces.Discrete):
@@ -314,6 +317,9 @@ def run_episodes(episodes: LockStep, scenarios: Iterable[Scenario]) -> Iterator[
         yield from episodes.step()
 
 
+_LEAST_ROOM: Final = 64  # rows of a log of decisions
+
+
 class DecisionRecorder:
     """Records what an ADS logs of its decisions in B episodes in lock-step: nothing without a method `log`."""
 
@@ -326,7 +332,7 @@ class DecisionRecorder:
         self._oldest = 0  # first row of the running episode that began first
 
     def begin(self, slots: NDArray[np.bool_], running: NDArray[np.bool_]) -> None:
-        """Begin the episodes in `slots`; `running` are all that run, including the new ones; both of shape (B,)."""
+        """Begin episodes: those in `slots`. `running` are all that run, the new ones included; both have shape (B,)."""
         if slots[running].all():  # no older episode goes on, and these may have other names and shapes
             self._columns, self._rows, self._room = None, 0, 0
         self._begins[slots] = self._rows

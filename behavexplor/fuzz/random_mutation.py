@@ -67,7 +67,7 @@ class RandomMutation:
         return Candidate(number, self._logical.mutate_little(scenario, rng, noise), little, parent)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Keep a scenario that passed: an initial scenario always, a mutant at random. Tell whether it was `kept`."""
+        """Keep a scenario that passed: an initial scenario always, a mutant at random. Return whether it was `kept`."""
         self._told += 1
         lucky = draws(self._seed, candidate.number, _KEEPING_DRAWS).random() < self._options.keep_probability
         kept = not verdict.failed and (candidate.parent is None or lucky)

@@ -15,7 +15,7 @@ from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.same_driver import driver_digests
 from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_scenario import DEFAULT, Traffic
-from behavexplor.data.durable import check_no_file, folder_in, write_durably, writing
+from behavexplor.data.durable import check_no_file, make_folder, write_durably, writing
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.target import OF_EPISODES, Activation, CheckedTarget
 from behavexplor.data.trace import Trace
@@ -169,7 +169,7 @@ class Suite:
         check_free(folder)
         remember(own_digests(self.claim))  # without it, the suite must be trusted, as on another machine
         with writing(folder):
-            folder_in(folder, CASES)
+            make_folder(folder, CASES)
             for case in self.cases:
                 write_durably(case.file(folder), _case_text(case))
             write_durably(folder / TEST, _TEST_TEXT)

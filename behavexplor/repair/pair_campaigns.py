@@ -18,7 +18,7 @@ from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.record import ERROR
 from behavexplor.campaign.store import Store
-from behavexplor.data.durable import folder_in, write_durably, writing
+from behavexplor.data.durable import make_folder, write_durably, writing
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
@@ -165,7 +165,7 @@ def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe,
         ExecutionError: if an execution could not be carried out.
     """
     with writing(f"The folder {folder.parent}"):
-        place = folder_in(folder.parent, folder.name)
+        place = make_folder(folder.parent, folder.name)
     with opened(config, place, workers, resume=resume) as ready:
         ready.campaign.run(lambda progress: observe(progress.executions))
         ready.campaign.confirm()
@@ -217,7 +217,7 @@ def differences(
         method, specs = search_method(first, ours.logical), load_specs(first.specs)
         found = search_differences(method, ours, theirs, specs, budget=budget, batch=first.batch, observe=observe)
     lines = [json.dumps(one.scenario.to_dict(), separators=(",", ":")) for one in found]
-    write_durably(folder_in(folder.parent, folder.name) / DIFFERENCES, "".join(f"{line}\n" for line in lines))
+    write_durably(make_folder(folder.parent, folder.name) / DIFFERENCES, "".join(f"{line}\n" for line in lines))
     return found
 
 

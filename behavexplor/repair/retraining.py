@@ -24,7 +24,7 @@ from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE
-from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.durable import make_folder, write_durably
 from behavexplor.data.scenario import LogicalScenario, Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.untrusted import read_file
@@ -268,7 +268,8 @@ class _Work:
     def refresh(self, number: int) -> tuple[int, int]:
         """Add the failures that a campaign finds to the pool, and return the numbers of failures and of decisions."""
         config = self.config
-        policy, place = self.file(number - 1, self.trainee.suffix), folder_in(self.folder, "campaigns", f"{number:04d}")
+        policy = self.file(number - 1, self.trainee.suffix)
+        place = make_folder(self.folder, "campaigns", f"{number:04d}")
         target = replace(config.target, ads=str(policy))
         failures, decisions = found_failures(target, config.method, config.budget, config.seed + number, place)
         for scenario in failures:
@@ -287,7 +288,7 @@ class _Work:
     def finish(self, number: int, found: int | None) -> Round:
         """Save and validate the policy, and return the result. Round 0 is the policy as it was given."""
         config, policy = self.config, self.file(number, self.trainee.suffix)
-        folder_in(self.folder, "rounds")
+        make_folder(self.folder, "rounds")
         save_model(self.trainee.model, self.file(number, ".pt"))
         self.trainee.write(policy)
         if number == 0:

@@ -146,7 +146,10 @@ class StagePart:
 
 
 def stage_parts(stages: Mapping[str, float]) -> tuple[StagePart, ...]:
-    """Return the parts of a bar for the time in each stage [s], in their order, without stages that took no time."""
+    """Return the parts of a bar, in the order of the stages, without those that took no time.
+
+    `stages` has the time in each stage [s]; it is empty if that is not known.
+    """
     total = sum(stages.values())
     parts, before = [], 0.0
     for style, (name, words) in enumerate(STAGES.items()):

@@ -1,4 +1,4 @@
-"""What replays and pictures have in common: the place of a violation, words for an outcome, decisions, and colors."""
+"""Words and marks of an execution: its outcome in words, the place of a violation, the decisions, and the colors."""
 
 import re
 from collections.abc import Mapping, Sequence

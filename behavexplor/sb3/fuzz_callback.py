@@ -16,7 +16,7 @@ from behavexplor.api.campaigns import config_of, find_failures
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import stamped_folder
 from behavexplor.campaign.run_summary import RunSummary
-from behavexplor.data.durable import folder_in, new_file
+from behavexplor.data.durable import make_folder, new_file
 from behavexplor.errors import InputError, brief
 from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
@@ -166,7 +166,7 @@ class FuzzCallback(BaseCallback):
 
     def _round(self) -> FuzzingRound:
         begin = time.monotonic()
-        folder = folder_in(self.folder, f"{_ROUND_PREFIX}{self.num_timesteps:09d}")
+        folder = make_folder(self.folder, f"{_ROUND_PREFIX}{self.num_timesteps:09d}")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # a policy may be constant while it learns
             given = given_driver(self.model)

@@ -14,7 +14,7 @@ from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.durable import folder_in, writing
+from behavexplor.data.durable import make_folder, writing
 from behavexplor.data.scenario import LogicalScenario, Parts, Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
@@ -308,7 +308,7 @@ class RunMinimization:
             return
         workers = min(self._workers, len(self.waiting))
         with start_evaluator(Minimizer, self._config, TIME_LIMIT, workers, self._driver) as executor:
-            folder_in(store.folder, MINIMIZED)
+            make_folder(store.folder, MINIMIZED)
             ended = {number for number in self.waiting if _ends_process(store.execution(number).record)}
             tried = (number for number in self.waiting if number not in ended)
             calls = (_call(store.execution(number), self._config.seed, self._findings.get(number)) for number in tried)

@@ -18,7 +18,7 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.confirmation import unconfirmed
 from behavexplor.campaign.judgment import ads_failure, confirmed
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.durable import folder_in, write_durably, writing
+from behavexplor.data.durable import make_folder, write_durably, writing
 from behavexplor.data.trace import WEAKNESS_NAMES, Trace, weakness_names
 from behavexplor.data.validation import checked
 from behavexplor.execution.evaluator import EXECUTE
@@ -73,7 +73,7 @@ class RunTriage:
             return self._examine(store, observe)
 
     def _examine(self, store: Store, observe: Callable[[int], None]) -> Triage:
-        folder_in(self._run, WITNESSES)  # creates it
+        make_folder(self._run, WITNESSES)  # creates it
         missing = unconfirmed(self._config, self._run, store.records())
         tasks = len(self.waiting) or len(missing)
         if not tasks:

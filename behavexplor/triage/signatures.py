@@ -3,12 +3,10 @@
 The rules follow the paper's sixteen paragraphs (section 4.1.2), as a person would apply them to a recording. A
 signature names a weakness that changed the output of its module shortly before the violation, in a situation typical of
 that weakness. Of several weaknesses, it names the first one in `_RULES`, where those whose situation is nearly always
-given come last. The rules need no replay. `agreement` says how often they are right, compared with the causes that
-`behavexplor.triage.counterfactual` has found by replays.
+given come last. The rules need no replay, unlike the causes that `behavexplor.triage.counterfactual` finds.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
@@ -133,25 +131,3 @@ _RULES: Final = MappingProxyType[str, Callable[[Trace, ViolationEvent], bool]](
         "R3-1": _always,
     }
 )
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """Agreement of given labels with true labels."""
-
-    n: int  # number of compared labels
-    equal: float  # share of equal labels; meaningful only if both sequences use the same names
-    precision: float  # mean over the given names of the share of items with that label for which it is true
-    recall: float  # mean over the true names of the share of items with that true label that were given it
-    adjusted_rand: float  # adjusted Rand index, which ignores names: 1 for equal groups, about 0 for groups by chance
-
-
-def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
-    """Compare given labels with the true labels of the same items, at least one, in the same order."""
-    from sklearn.metrics import adjusted_rand_score, precision_recall_fscore_support  # noqa: PLC0415 - slow to import
-
-    equal = sum(a == b for a, b in zip(true, given, strict=True)) / len(true)
-    mean = {"average": "macro", "zero_division": 0.0}
-    precision = precision_recall_fscore_support(true, given, labels=sorted(set(given)), **mean)[0]
-    recall = precision_recall_fscore_support(true, given, labels=sorted(set(true)), **mean)[1]
-    return Agreement(len(true), equal, float(precision), float(recall), float(adjusted_rand_score(true, given)))

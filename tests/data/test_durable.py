@@ -11,7 +11,7 @@ import pytest
 import behavexplor
 from behavexplor.campaign.config import read_yaml
 from behavexplor.commands.fuzz import read_known_classes
-from behavexplor.data.durable import check_file, folder_in, new_file, write_durably, write_given
+from behavexplor.data.durable import check_file, make_folder, new_file, write_durably, write_given
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
@@ -61,10 +61,10 @@ def test_a_pipe_is_written_only_where_the_user_names_it(tmp_path):
 def test_a_folder_inside_may_not_be_a_link(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "mine").symlink_to(tmp_path / "elsewhere")
-    assert folder_in(tmp_path / "mine", "a", "b") == tmp_path / "mine" / "a" / "b"  # the outer one is the user's word
+    assert make_folder(tmp_path / "mine", "a", "b") == tmp_path / "mine" / "a" / "b"  # the outer one is the user's word
     (tmp_path / "mine" / "a" / "c").symlink_to(tmp_path)
     with pytest.raises(OSError, match="c in it is a symbolic link, which may lead out of it"):
-        folder_in(tmp_path / "mine", "a", "c", "d")
+        make_folder(tmp_path / "mine", "a", "c", "d")
     assert not (tmp_path / "d").exists()
 
 

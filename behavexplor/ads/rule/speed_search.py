@@ -119,7 +119,9 @@ def search(situation: Situation, station: float, speed: float, acceleration: flo
 def _search_below(
     bound: float, situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes
 ) -> tuple[SpeedPlan, bool]:
-    """Search among the motions whose cost does not exceed a bound; return the plan, and whether it is surely the best.
+    """Search among the motions whose cost does not exceed a bound.
+
+    Return the plan, and whether it is surely that of a search without a bound.
 
     Costs never fall along a motion, so motions beyond the bound never lead to one within it, and in no bin are they
     cheaper than one within it. Without them, the search finds the same plan if its cost is within the bound. Only the
@@ -128,7 +130,7 @@ def _search_below(
     now, following = nodes.stages[0], nodes.stages[1]
     now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0
     now[0, TOTAL], now[0, RISK], now[0, INSIDE] = 0.0, 0.0, 0.0
-    count, survived, tied = int64(1), int64(0), False  # as int64, so that numba compiles what gets them only once
+    count, survived, tied = int64(1), int64(0), False  # int64: for Python's int, numba would compile twice
     for stage in range(len(STAGES)):
         n = _choose(now, count, stage, bound, situation.p, nodes)
         _begin(now, n, nodes)

@@ -203,7 +203,7 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
     ways, graph = view.ways, view.graph
     tail, start = ways.tails[graph.tails[way]], graph.stations[way]
     steps = _steps(motion, view.p)
-    first, last, step = -1, -1, int64(0)  # as int64, so that numba compiles what gets it only once
+    first, last, step = -1, -1, int64(0)  # int64: for Python's int, numba would compile `_occupy_lane` again
     for depth in range(len(tail)):
         if tail[depth] < 0:
             break

@@ -40,7 +40,7 @@ _CHANGING: Final = (  # what the policy observes or does
     VecExtractDictObs,
     VecTransposeImage,
 )
-_KNOWN: Final = (  # these change neither, or are applied in a campaign
+_KNOWN: Final = (  # these change neither, or are applied in a campaign, even if they are named above
     gymnasium.RewardWrapper,
     gymnasium.wrappers.FlattenObservation,
     gymnasium.wrappers.FrameStackObservation,
@@ -159,7 +159,8 @@ def _single_wrappers(env: VecEnv | None) -> Iterator[gymnasium.Wrapper[Any, Any,
 def _check_wrappers(wrappers: Iterable[Any]) -> None:
     """Refuse wrappers that change what the policy observes or does, and warn of those that may."""
     for wrapper in wrappers:
-        if isinstance(wrapper, _KNOWN) and getattr(wrapper, "padding_type", "reset") == "reset":
+        pads_otherwise = getattr(wrapper, "padding_type", "reset") != "reset"  # stacked frames, at a start
+        if isinstance(wrapper, _KNOWN) and not pads_otherwise:
             continue
         applied = f"The model was trained in the wrapper {type(wrapper).__name__}, which is not applied in a campaign"
         if isinstance(wrapper, _CHANGING):

@@ -78,7 +78,7 @@ class WrappedPolicy:
         noise: see `behavexplor.ads.interface.StochasticADS`.
         observation_space: space of one observation of the environment.
         action_space: space of one of its actions.
-        said: what is done to observations, as a sentence.
+        said: what is done to observations and actions, in sentences.
     """
 
     vectorized = False

@@ -141,7 +141,7 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
     nearest = _distance_with_heading(network.lanes[likely], *coordinates, heading)
     for i in range(len(network.lanes)):
         lane = network.lanes[i]
-        is_near, near = near & 1, near >> 1  # bit i of `near`
+        is_near, near = near & 1, near >> 1  # the lowest bit is that of lane i
         if not is_near or i == likely or is_farther(lane, x, y, nearest):
             continue
         found = lane_coordinates(lane, x, y)
@@ -153,9 +153,12 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
 
 @kernel_inner
 def _is_alone(network: Network, near: int, lane: int, x: float, y: float, limit: float) -> bool:
-    """Return whether all other lanes with a bit in `near` are certainly farther from a point than a limit [m]."""
+    """Return whether all other lanes are certainly farther from a point than a limit [m].
+
+    Only those are looked at that have a bit in `near`, as in `Lane.near`.
+    """
     for i in range(len(network.lanes)):
-        is_near, near = near & 1, near >> 1  # bit i of `near`
+        is_near, near = near & 1, near >> 1  # the lowest bit is that of lane i
         if is_near and i != lane and not is_farther(network.lanes[i], x, y, limit):
             return False
     return True

@@ -50,7 +50,8 @@ RULES: Final = record_type(
     policy_period=np.float64,  # duration of a decision [s]
     regulation_period=np.int64,  # frames from one check of the right of way to the next; 0: none
 )
-FIRST_LANE: Final = int64(0)  # this and the next two: arguments of kernels; see `behavexplor.jit.int64`
+# As `int64`: for a Python number, numba would compile the kernel that gets it once more.
+FIRST_LANE: Final = int64(0)
 AS_EGO: Final = int64(EGO)
 AS_OTHER: Final = int64(OTHER)
 _GAINS: tuple[tuple[float, ...], ...] = tuple(
@@ -74,7 +75,7 @@ def make_world(env: AbstractEnv, is_goal: Callable[[LaneIndex], bool] = lambda _
     moment: `IntersectionEnv` changes them for the whole process.
 
     Raises:
-        InputError: if the environment has lanes, vehicles or actions that the engine does not know.
+        InputError: if the environment has a road, lanes, vehicles or actions that the engine does not know.
     """
     config = env.config
     _check_road(env)

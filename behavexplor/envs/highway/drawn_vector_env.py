@@ -95,10 +95,10 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
 
     @property
     def short_traces(self) -> bool:
-        """True if episodes are counted instead of recorded, which is many times as fast. It is False at first.
+        """Whether episodes are counted instead of recorded, which is many times as fast; at first, they are not.
 
-        `infos["trace"]` then has a trace of a single frame for an episode without failure, and None for any other.
-        Scenarios must be drawn from `logical`, since they are not checked.
+        While it is True, `infos["trace"]` has a trace of a single frame for an episode without failure, and None for
+        any other. Scenarios must be drawn from `logical`, since they are not checked.
         """
         return self._has_short_traces
 
@@ -286,7 +286,7 @@ def _arrivals(infos: dict[str, Any]) -> Bools | None:
 
 
 def start_order(env: DrawnEnv, scenarios: Iterable[DrawnScenario]) -> tuple[DrawPlace, ...] | None:
-    """Return the order of the draws with which episodes begin; None if it differs among those of the scenarios.
+    """Return the order of the draws with which the episodes of scenarios begin; None if it is not the same in all.
 
     The present episode of `env` is lost.
     """
@@ -311,8 +311,9 @@ def forms_of(scenario: DrawnScenario, order: Sequence[DrawPlace]) -> Floats:
     draws: dict[str, Any] = dict(scenario.draws)
     try:
         return np.array([draws[name][position] for name, position, _ in order])
-    except (KeyError, IndexError):  # some of them come from the scenario's seed
-        made = DrawnGenerator(draws, scenario.seed, __file__)
+    except (KeyError, IndexError):  # some of them come from the scenario's seed, by a generator
+        pass
+    made = DrawnGenerator(draws, scenario.seed, __file__)
     given = ((draws.get(place.name, ()), place) for place in order)
     return np.array(
         [known[place.position] if place.position < len(known) else made.form(*place) for known, place in given]

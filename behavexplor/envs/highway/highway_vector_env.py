@@ -71,9 +71,9 @@ class HighwayVectorEnv(LockStepVectorEnv):
         log_frames: whether the attribute `frame_log` has the frames of the latest step. Without this, it is empty.
 
     Attributes:
-        frame_log: where every vehicle and obstacle was after each frame of the latest step; see
-            `behavexplor.envs.engine.frame_log.FrameLog`. After a call of `reset`, the first frame shows the start. The
-            next step overwrites it.
+        frame_log: where every vehicle and obstacle was after each frame of the latest step, or the ego alone (see
+            `log_egos`); see `behavexplor.envs.engine.frame_log.FrameLog`. After a call of `reset`, the first frame
+            shows the start. The next step overwrites it.
         places_own: whether highway-env itself begins the episodes, since a subclass makes its own road or vehicles.
 
     Raises:
@@ -119,7 +119,8 @@ class HighwayVectorEnv(LockStepVectorEnv):
         self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
         self._is_discrete = table is not None
         self._actions = Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
-        self._taken = self._sampled = self._sampled_space.sample()  # latest actions, and those shown after a reset
+        self._sampled = self._sampled_space.sample()  # actions that infos show after a reset
+        self._taken = self._sampled  # latest actions
         self._is_seeded = np.zeros(num_envs, dtype=bool)
         self._advance_slots = self._compile()
 
@@ -135,12 +136,14 @@ class HighwayVectorEnv(LockStepVectorEnv):
         n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0
         self.frame_log = make_log(num_envs, n_logged, n_places)
         self._results = engine_making.make_results(self._single, self._engine, num_envs, self.frame_log)
-        self._decided = self._results.numbers, self._results.flags  # from the first decision on, copies after each
+        # after the latest decision, if there was one: copies, since a new episode overwrites the results
+        self._decided = self._results.numbers, self._results.flags
 
     def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
         starts = engine_making.chosen_starts(options.get("starts"), type(self._single), self.config, mask)
         draws = engine_making.chosen_draws(options.get("draws"), mask)
-        return starts, draws, self.frame_log.frames.size > 0  # the starts are logged if there is a log
+        logs_start = self.frame_log.frames.size > 0
+        return starts, draws, logs_start
 
     def _seed(self, b: int, seed: int | None) -> None:
         if seed is not None or not self._is_seeded[b]:
@@ -155,7 +158,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         return numbers[REWARD], flags[TERMINATED], flags[TRUNCATED], flags[STEPPED], n_ended
 
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
-        if begun is None:
+        if begun is None:  # no episode has begun since the latest decision
             return infos_of(self._kind, *self._decided, self._taken, stepped)
         shown = self._taken.copy()
         shown[begun] = self._sampled[begun]

@@ -1,10 +1,10 @@
 """Wide traffic: other vehicles anywhere around the ego, with other speeds and other manners than an environment's own.
 
 An environment's own traffic always starts in the same way: on the highway, all vehicles are ahead of the ego. In wide
-traffic, the same number of vehicles is placed by draws of the lane, the station, the speed, the target speed and the
-parameters of the car-following and lane-change models, and the ego starts in another lane and at another speed. Every
-follower starts at no less than the distance that it wants, and no other vehicle starts slower than the ego can choose
-to drive, so no scene is lost from its start.
+traffic, the same vehicles are placed by draws of the lane, the station, the speed, the target speed and the parameters
+of the car-following and lane-change models; one that finds no place is left out. The lane and the speed of the ego are
+drawn as well. A follower in a lane starts at no less than the distance that it wants, and no other vehicle starts
+slower than the ego can choose to drive, so no scene is lost from its start.
 """
 
 import math
@@ -34,7 +34,7 @@ _MAKERS: Final = ("_create_vehicles", "_make_vehicles")  # methods of highway-en
 
 
 def widen(env: AbstractEnv) -> None:
-    """Let an environment, which has been reset before, have wide traffic from its next reset on.
+    """Give an environment, which has been reset before, wide traffic from its next reset on.
 
     Raises:
         InputError: if the environment places its vehicles in an unknown way, or begins without other vehicles that
