@@ -57,7 +57,8 @@ class CarefulDriver:
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Ints, Any]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`. Observations have the shape (B, 15, 7)."""
-        last = np.flatnonzero(observation[..., 0].any(axis=0)).max(initial=1)  # last row with a vehicle, at least 1
+        # no rows that are empty in all observations, which saves time; one of another vehicle stays, for `argmin`
+        last = np.flatnonzero(observation[..., 0].any(axis=0)).max(initial=1)
         seen = np.moveaxis(observation[:, : last + 1], -1, 0)
         presence, x, y, vx, vy, cos, sin = np.asarray(seen, dtype=np.float64, order="C")
         present = presence[:, 1:] > 0
@@ -72,7 +73,7 @@ class CarefulDriver:
 
 
 def careful_driver(roadmap: RoadMap | None, variant: str = "") -> CarefulDriver:
-    """Make the driver. It knows highway-env's own environments only, so `roadmap` must be None, and has no variants.
+    """Make the driver. It drives in highway-env's own environments only, where `roadmap` is None, and has no variants.
 
     Raises:
         InputError: if the environment is one of this package, or a variant is given.

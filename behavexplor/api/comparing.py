@@ -53,8 +53,12 @@ class Comparison:
         return tuple(compared(self.folder))
 
     def decision(self, margin: float) -> MarginDecision:
-        """Return whether the second driver is no worse than the first one by a margin, such as 0.01."""
-        pair_campaigns.check_numbers(1, margin)
+        """Return the decision whether the second driver is no worse than the first one by a margin, such as 0.01.
+
+        Raises:
+            InputError: if the margin is not between 0 and 1.
+        """
+        pair_campaigns.check_margin(margin)
         return MarginDecision.of(self.pairs, margin)
 
     @property

@@ -32,8 +32,8 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
     has all keys of the scene, because a model could have been trained in another scene.
 
     Raises:
-        InputError: if it is neither, or has a wrapper that would change what a driver observes or does, or a limit that
-            would end episodes early.
+        InputError: if it is neither; or if it cannot be made again as it is, because it has no spec, a replaced method,
+            a wrapper that would change what a driver observes or does, or a limit that would end episodes early.
     """
     if isinstance(given, str):
         return given, None
@@ -44,7 +44,7 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
         raise InputError(f"The environment {brief(given)} has no spec, so it cannot be made again: use gymnasium.make")
     from behavexplor.envs.source_gate import REWARDS, replaced_in  # noqa: PLC0415 - slow to import, and only objects need it
 
-    method = replaced_in(given.unwrapped, REWARDS)
+    method = replaced_in(given.unwrapped, allowed=REWARDS)
     if method is not None:
         raise InputError(
             f"The environment is made again in a campaign, without its {method}: override it in a subclass"
@@ -57,7 +57,9 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
 
 
 def given_config(of_env: Mapping[str, Any] | None, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return what is known of a configuration from an environment object and what is given with it; None if nothing.
+    """Return the configuration that an environment object and what is given with it tell; None if it is not known.
+
+    What is given counts if both tell a key.
 
     Raises:
         InputError: if what is given is no configuration.

@@ -120,7 +120,7 @@ def campaign_recipe(targets: Iterable[Target]) -> Recipe:
 
 
 def campaign_request(config: CampaignConfig, folder: Path, workers: int, *, remote: bool) -> bytes:
-    """Return the request for `CampaignService.run`, whose `run_in` explains `workers`.
+    """Return the request for `CampaignService.run`; `workers` processes execute scenarios, or if 0, the campaign's own.
 
     A `remote` campaign may run on a machine without access to the folder, so the folder's contents are part of the
     request.
@@ -145,9 +145,9 @@ def pack(folder: Path) -> bytes:
         return b""
     data = io.BytesIO()
     with tarfile.open(fileobj=data, mode="w") as archive:
-        for path in sorted(
-            path for path in folder.rglob("*") if path.is_file() and not path.is_symlink() and path.suffix != ".lock"
-        ):
+        for path in sorted(folder.rglob("*")):
+            if not path.is_file() or path.is_symlink() or path.suffix == ".lock":
+                continue
             archive.add(path, path.relative_to(folder).as_posix(), recursive=False)
     return data.getvalue()
 
@@ -204,7 +204,8 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
         return RunState(0, finished=False)
     check_same_campaign(stored_config(folder).says, run, str(folder))
     with closing(Store.read(folder)) as store:
-        count, ended, budget = len(store), store.ended, int(run.config.budget)
+        count, ended = len(store), store.ended
+    budget = int(run.config.budget)
     if count > budget:
         raise InputError(f"{folder} has {count} executions, more than the budget {budget}: choose another --out")
     return RunState(count, finished=count == budget or ended is not None)
@@ -225,7 +226,7 @@ class ExperimentRunner:
     """Executes the unfinished runs of an experiment.
 
     Args:
-        runs: all runs of the experiment.
+        runs: all runs of the experiment, in the order in which they are executed.
         root: folder of the experiment.
         jobs: number of runs at a time; on a cluster, the number of nodes, or 0 for one for each core.
         workers: number of processes that execute the scenarios of a run; if 0, its own process does.
@@ -358,7 +359,8 @@ def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], f
         if not (root / run.folder / DATABASE).is_file():
             continue
         with closing(Store.read(root / run.folder)) as store:
-            seconds, count = sum(executing_and_analysing(store.stages)), len(store)
+            count = len(store)
+            seconds = sum(executing_and_analysing(store.stages))  # nan if it is not known
         if count and not math.isnan(seconds):
             found.setdefault((run.env, run.ads, run.method), []).append(seconds / count)
     return {key: float(np.mean(values)) for key, values in found.items()}

@@ -52,7 +52,7 @@ class Losses:
             numbers = _ranges(self.damaged) + (" and everything after" if self.cut_off else "")
             said.append(f"Damaged or missing in {folder / DATABASE}: {numbers}; fuzz --resume executes that again")
         if self.files:
-            said.append(f"Missing in {folder / FAILURES}: files of {_ranges(self.files)}; fuzz --resume writes them")
+            said.append(f"Lost in {folder / FAILURES}: files of {_ranges(self.files)}; fuzz --resume writes them")
         if not (folder / CONFIG).is_file():
             said.append(f"{folder / CONFIG} is missing: restore it, or the run can neither be replayed nor resumed")
         return said

@@ -1,4 +1,4 @@
-"""Whether a run's driver is still that with which it began; and the configuration with which the run is executed."""
+"""Whether a run's driver and other code are those with which it began, and the configuration to execute it with."""
 
 import hashlib
 import warnings
@@ -53,24 +53,24 @@ def check_identity(store: Store, now: Identity) -> None:
     """Keep what a campaign tests in its store, or compare it with what is kept there.
 
     Raises:
-        InputError: if it tests another driver now.
+        InputError: if that is something else now.
     """
     begun = begun_with(store)
     if begun is None:
         store.add_note(NOTE, now.to_json())
     elif changed := changes(begun.digests, now.digests):
-        raise _another_driver(store.folder, changed)
+        raise _changed(store.folder, changed)
 
 
 def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on: bool = False) -> AcceptedConfig:
     """Return the configuration of a run, by which something may be executed. The working directory may have changed.
 
-    If the driver is not the one with which the run began, a warning is issued, or the campaign is refused if it
-    `goes_on`. `runs` are keys of the code that would be run, see `behavexplor.campaign.provenance.accepted`.
+    If driver or other code are not those with which the run began, a warning is issued, or the campaign is refused if
+    it `goes_on`. `runs` are keys of the code that would be run, see `behavexplor.campaign.provenance.accepted`.
 
     Raises:
         InputError: see `behavexplor.campaign.provenance.accepted`; also if the file of its policy has gone, or the
-            campaign would go on with another driver.
+            campaign would go on with other code.
     """
     stored = stored_config(run)
     try:
@@ -83,9 +83,9 @@ def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on:
     config = replace(config, ads=_name_from_here(config, begun))
     changed = changes(begun.digests, identity_of(config).digests)
     if changed and goes_on:
-        raise _another_driver(run, changed)
+        raise _changed(run, changed)
     if changed:
-        warnings.warn(f"The driver is not the one with which {run} began: {changed}", stacklevel=3)
+        warnings.warn(f"The driver or other code is not that with which {run} began: {changed}", stacklevel=3)
     return config
 
 
@@ -99,9 +99,9 @@ def _identity_at_start(run: Path) -> Identity | None:
 
 
 def _refused(refusal: InputError, run: Path, config: CampaignConfig, *, goes_on: bool) -> InputError:
-    """Return the refusal to run a folder's code, with the modules that have changed since the run began, if any have.
+    """Return the error for a run whose code may not be run, which names the modules that have changed since it began.
 
-    If the campaign `goes_on`, they are the refusal.
+    If the campaign `goes_on`, the error says only that.
     """
     code = code_of(config.env, config.ads, config.method, config.specs, config.env_config)
     now = {f"{MODULE}{name}": digest for name, digest in digests_of(one.module for one in code).items()}
@@ -111,14 +111,14 @@ def _refused(refusal: InputError, run: Path, config: CampaignConfig, *, goes_on:
     if not changed:
         return refusal
     if goes_on:
-        return _another_driver(run, changed)
+        return _changed(run, changed)
     return InputError(f"{refusal}. Changed since the run began: {changed}")
 
 
-def _another_driver(run: Path, changed: str) -> InputError:
+def _changed(run: Path, changed: str) -> InputError:
     return InputError(
-        f"{run} cannot be continued, because its campaign would test another driver: {changed}. Put back what has "
-        f"changed, or start a new run"
+        f"{run} cannot be continued, because the driver or other code of its campaign has changed: {changed}. Put "
+        f"it back, or start a new run"
     )
 
 

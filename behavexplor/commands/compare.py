@@ -36,13 +36,14 @@ TABLE, SEARCH = "comparison.json", "search"
 _REPLAYS = 100
 _CODES: Final = {NON_INFERIOR: OK, INFERIOR: CHECK_FAILED, "": UNDECIDED}
 
+_SEARCH: Final = {"method": "nsga2", "budget": CampaignConfig.budget}  # by default, with --search
 _SETTINGS = settings(
     CampaignConfig,
     "env activation env_config seed method budget specs confirm traffic stochastic trust unconfined",
     box="campaign",
     env=Shown(f"that of A, or {CampaignConfig.env}"),
-    method=Shown("nsga2", " Used with --search."),
-    budget=Shown(CampaignConfig.budget, " Used with --search."),
+    method=Shown(_SEARCH["method"], " Used with --search."),
+    budget=Shown(_SEARCH["budget"], " Used with --search; there, not a time."),
 )
 
 
@@ -71,30 +72,30 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         scenarios: Number of uniformly sampled scenarios; with --margin, the greatest number.
         margin: Greatest difference of the shares of failures at fault that counts as no worse, such as 0.01. The exit
             code is 0 if B is no worse than A by more than that, 1 if it is worse, and 4 if that is not decided. The
-            comparison ends when it is, so p-values and intervals of the table do not hold then.
+            comparison ends as soon as it is decided; the p-values and intervals of its table are not valid then.
         search: Also search for scenarios in which one driver fails and the other does not.
         workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the drivers;
             a driver that is not shipped with behavexplor then needs --unconfined.
         out: Folder for the results, new or empty.
         json_file: Also write the table and the verdict to this JSON file; - is standard output, here and below.
         junit: With --margin, also write the verdict to this file as JUnit XML.
-        quiet: Print only the tables.
+        quiet: Print only the results.
     """
-    count, output = chosen_workers(workers), check_outputs(json_file, junit)
-    _check(scenarios, margin, first, second)
-    if junit is not None and margin is None:
-        raise InputError("--junit writes whether a threshold was met: give one with --margin")
-    of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
+    count = chosen_workers(workers)
+    output = check_outputs(json_file, junit)
+    _check(scenarios, margin, junit, first, second)
+    of_search = {name: given.get(name, default) for name, default in _SEARCH.items()}
     env = named_env(given.get("env"), first) or CampaignConfig.env
     config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})
     searching = replace(config, batch=CampaignConfig.batch, **of_search)
     if search:
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
-    folder, begun = out or stamped_folder("compare"), time.monotonic()
+    folder = out or stamped_folder("compare")
+    begun = time.monotonic()
     try:
-        other, pairs, verdict = _driven(config, second, folder, count, margin, quiet=quiet)
+        other, pairs, verdict = _drive_both(config, second, folder, count, margin, quiet=quiet)
         say(table(pairs, config.env, first, second), file=output)
-        write_json(json_file, {"outcomes": values(pairs), "verdict": verdict and verdict._asdict()})
+        write_json(json_file, {"outcomes": values(pairs), "verdict": None if verdict is None else verdict._asdict()})
         _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
         if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
             _write(folder, pairs, [folder, folder / SEARCH])
@@ -110,20 +111,25 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         tested = [CaseResult(f"non-inferior by {margin:g}", failure)]
         properties = {"A": first, "B": second}
         write_junit(junit, f"compare {config.env}", tested, properties, time.monotonic() - begun)
-    return _CODES[verdict.found] if verdict else OK
+    return OK if verdict is None else _CODES[verdict.found]
 
 
-def _check(scenarios: int, margin: float | None, first: str, second: str) -> None:
+def _check(scenarios: int, margin: float | None, junit: Path | None, first: str, second: str) -> None:
     """Check what does not depend on anything that is loaded."""
+    if junit is not None and margin is None:
+        raise InputError("--junit writes whether a threshold was met: give one with --margin")
     pair_campaigns.check_numbers(scenarios, margin)
     for name in (first, second):
         check_name(name)
 
 
-def _driven(
+def _drive_both(
     config: CampaignConfig, second: str, folder: Path, workers: int, margin: float | None, *, quiet: bool
 ) -> tuple[CampaignConfig, list[Pairs], MarginDecision | None]:
-    """Drive the budget, or until the margin is decided; return the second configuration, the pairs and the verdict."""
+    """Drive all scenarios with both drivers, or as many as decide the margin.
+
+    Return the configuration of the second driver, the pairs and the verdict.
+    """
     goes_on = False
     for budget in pair_campaigns.looks(int(config.budget), margin):
         config = replace(config, budget=str(budget))

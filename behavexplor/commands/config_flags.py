@@ -31,10 +31,10 @@ _SINGULAR: Final = {"specs": "spec"}  # names of flags that differ from their fi
 
 
 class Shown(NamedTuple):
-    """What the help text shows of a flag in place of its field's default, and after the field's description."""
+    """What the help text shows of a flag."""
 
-    default: object
-    more: str = ""
+    default: object  # in place of the field's default
+    more: str = ""  # after the field's description
 
 
 def settings(kind: type, names: str, box: str = "", **other: Shown) -> Any:
@@ -62,7 +62,7 @@ def settings(kind: type, names: str, box: str = "", **other: Shown) -> Any:
             help=f"{texts.get(name, '')}{shown.more}",  # python -OO has no descriptions
         )
         parameters.append(_flag_parameter(name, types[name], argument))
-    return tyro.conf.arg(name=box, constructor=_taker(parameters))
+    return tyro.conf.arg(name=box, constructor=_given_flags(parameters))
 
 
 def _flag_parameter(name: str, kind: Any, argument: Any) -> Parameter:
@@ -79,7 +79,7 @@ def _flag_parameter(name: str, kind: Any, argument: Any) -> Parameter:
     return Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=optional)
 
 
-def _taker(parameters: Sequence[Parameter]) -> Callable[..., dict[str, Any]]:
+def _given_flags(parameters: Sequence[Parameter]) -> Callable[..., dict[str, Any]]:
     """Return a function with these parameters that returns those that were given, with the contents of YAML files."""
 
     def given(**values: Any) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def retrain(
             raise InputError("A policy and --out cannot be given with --resume")
         folder, config = resume, resumed_config(RetrainingConfig, resume / CONFIG, "retraining")
         check_unchanged(given, config, "retraining")
-        names = tuple(value for value in given.values() if isinstance(value, str))
+        names = tuple(value for value in given.values() if isinstance(value, str))  # what the user names is trusted
         agreed(replace(config.claim, place=folder / CONFIG), Consent(trust, names=names))
     else:
         if not policy:

@@ -39,7 +39,7 @@ class RoadShape:
 
     @property
     def n_points(self) -> int:
-        """Number of points, and about the number of dashes."""
+        """Number of points, plus about the number of dashes."""
         lengths = (np.hypot(*np.diff(line, axis=0).T).sum() for line in self.striped)
         return sum(len(line) for line in (*self.surfaces, *self.striped, *self.borders)) + int(sum(lengths) / PERIOD)
 

@@ -207,8 +207,9 @@ def make_vector_env(
 ) -> VectorEnv[Any, Any, Any] | None:
     """Make the vector form of an environment that `make_env` made, with autoreset disabled; None if it has none.
 
-    `changes` replace keys of the configuration; with any, an environment of highway-env has no vector form. Otherwise,
-    its vector form begins episodes in `env`. Without `rewards`, a compiled environment computes none, and is faster.
+    `changes` replace keys of the configuration. The vector form of an environment of highway-env begins its episodes in
+    `env`, so it allows no changes: with any, None is returned. Without `rewards`, a compiled environment computes none,
+    and is faster.
 
     Raises:
         InputError: if the vector form does not support the configuration.

@@ -57,7 +57,7 @@ class Demand:
 
 
 class AwaitedFuture(Future[Any]):
-    """A future whose `demand`, which it shares with all others, measures how long the caller waits for its result."""
+    """A future that adds the time for which the caller waits for it to a `demand`, which all futures share."""
 
     def __init__(self, demand: Demand) -> None:
         super().__init__()

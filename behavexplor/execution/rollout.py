@@ -30,7 +30,7 @@ _worker: list[int] = []  # the process in which it is called, if that is a worke
 
 
 def share_asking(flag: Any) -> None:
-    """Set the flag whose `value` tells another process, as 1 or 0, whether this worker's process is calling the ADS."""
+    """Share a flag with another process: its `value` is 1 while this process, a worker, calls the ADS, else 0."""
     _asking[0] = flag
     _worker[:] = [os.getpid()]
 
@@ -70,7 +70,7 @@ def ask(
         raise ADSError("raised", described(error), place_of(error)) from error
     finally:
         if _worker and _worker[0] != os.getpid():
-            os._exit(COPIED)  # or each decision would double the number of processes
+            os._exit(COPIED)  # the ADS has forked: else, each decision would double the number of processes
         _asking[0].value = 0
 
 
@@ -332,7 +332,7 @@ class DecisionRecorder:
         self._oldest = 0  # first row of the running episode that began first
 
     def begin(self, slots: NDArray[np.bool_], running: NDArray[np.bool_]) -> None:
-        """Begin episodes: those in `slots`. `running` are all that run, the new ones included; both have shape (B,)."""
+        """Begin the episodes for which `slots`, shape (B,), is True; `running` is so for all that run, these too."""
         if slots[running].all():  # no older episode goes on, and these may have other names and shapes
             self._columns, self._rows, self._room = None, 0, 0
         self._begins[slots] = self._rows
@@ -354,7 +354,7 @@ class DecisionRecorder:
         self._append(latest)
 
     def completed(self, trace: Trace, slot: int) -> Trace:
-        """Return the trace of the episode in a slot, which has ended, with its decisions, arrays of shape (D, ...).
+        """Return `trace`, that of the ended episode in `slot`, with its decisions: arrays of shape (D, ...).
 
         Raises:
             InputError: if a logged number is not finite.

@@ -142,6 +142,15 @@ def check_numbers(scenarios: int, margin: float | None) -> None:
     """
     if scenarios < 1:
         raise InputError(f"A comparison needs at least 1 scenario, not {scenarios}")
+    check_margin(margin)
+
+
+def check_margin(margin: float | None) -> None:
+    """Check the margin of a comparison, if there is one.
+
+    Raises:
+        InputError: if it cannot be used.
+    """
     if margin is not None and not 0.0 < margin < 1.0:
         raise InputError(f"The margin {margin} must lie between 0 and 1, such as 0.01 for one point")
 
@@ -192,8 +201,10 @@ def check_search(config: CampaignConfig) -> None:
     """Check the search for differences as far as that is possible before a driver is loaded.
 
     Raises:
-        InputError: if the search method cannot be used.
+        InputError: if the search method cannot be used, or the budget is a time.
     """
+    if Budget.parse(config.budget).executions is None:
+        raise InputError(f"The budget {config.budget!r} of the search must be a number of executions, such as 750")
     logical = fixed_logical_scenario(config.env)
     if logical is None:  # it depends on what the driver declares
         load_method(config.method)

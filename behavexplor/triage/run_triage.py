@@ -63,7 +63,7 @@ class RunTriage:
     def examine(self, observe: Callable[[int], None]) -> Triage:
         """Examine the waiting failures, and write the findings into the run folder. `observe` gets how many are done.
 
-        Then highway-env confirms the first failures of each class, if that has not been tried.
+        Then highway-env confirms the first failures of each class, unless that has been tried or the run is without it.
 
         Raises:
             InputError: if the run folder cannot be written, or is damaged.
@@ -73,9 +73,9 @@ class RunTriage:
             return self._examine(store, observe)
 
     def _examine(self, store: Store, observe: Callable[[int], None]) -> Triage:
-        make_folder(self._run, WITNESSES)  # creates it
+        make_folder(self._run, WITNESSES)
         missing = unconfirmed(self._config, self._run, store.records())
-        tasks = len(self.waiting) or len(missing)
+        tasks = max(len(self.waiting), len(missing))
         if not tasks:
             return self._written(store)
         workers = min(self._workers, tasks)

@@ -206,7 +206,7 @@ def test_what_a_run_has_lost_is_executed_again(tmp_path, capsys):
     assert len(shown.out.splitlines()) == 5
     assert [" ".join(line.partition(": ")[2].split()[:2]) for line in shown.err.splitlines()] == [
         "Damaged or",
-        "Missing in",
+        "Lost in",
     ]
     assert main(["fuzz", "--resume", str(tmp_path / "run"), "--workers", "0", "--quiet"]) == OK
     capsys.readouterr()

@@ -30,15 +30,15 @@ def replay():
     return main(["replay", "run", "0", "--unconfined", "--out", "pictures"])
 
 
-@pytest.mark.filterwarnings("default:The driver is not")
+@pytest.mark.filterwarnings("default:The driver or other code is not")
 def test_an_overwritten_policy_is_named(place, capsys):
     shutil.copy(POLICIES / "intersection.zip", place / "merge.zip")
     assert main(["fuzz", "--resume", "run", "--budget", "20", "--workers", "0", "--unconfined"]) == BAD_INPUT
-    assert "would test another driver: merge.zip (SHA-256" in capsys.readouterr().err
+    assert "other code of its campaign has changed: merge.zip (SHA-256" in capsys.readouterr().err
     shutil.copy(POLICIES / "highway-fast.zip", place / "merge.zip")
     assert replay() == CHECK_FAILED
     err = capsys.readouterr().err
-    assert err.startswith("Warning: The driver is not the one with which run began: merge.zip (SHA-256")
+    assert err.startswith("Warning: The driver or other code is not that with which run began: merge.zip (SHA-256")
     assert "_cli.py" not in err
 
 
@@ -71,14 +71,14 @@ def test_an_edited_module_is_named(tmp_path, monkeypatch, capsys):
     Path("edited.py").write_text("def drive(observation):\n    return 4\n")
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["fuzz", "--resume", "run", "--budget", "8", "--workers", "1"]) == BAD_INPUT
-    assert "its campaign would test another driver: module edited (SHA-256" in capsys.readouterr().err
+    assert "other code of its campaign has changed: module edited (SHA-256" in capsys.readouterr().err
     assert main(["replay", "run", "0"]) == BAD_INPUT
     err = capsys.readouterr().err
     assert "if you trust it, add --trust sha256:" in err
     assert "Changed since the run began: module edited (SHA-256" in err
 
 
-@pytest.mark.filterwarnings("default:The driver is not")
+@pytest.mark.filterwarnings("default:The driver or other code is not")
 def test_a_suite_finds_its_policy_from_any_folder_and_names_another(place, capsys, monkeypatch):
     assert main(["suite", "run", "--out", "tests/suite", "--workers", "0", "--unconfined", "--quiet"]) == OK
     assert "driver: ../../merge.zip" in (place / "tests/suite/suite.yaml").read_text()

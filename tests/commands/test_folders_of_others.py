@@ -35,7 +35,7 @@ from tests.confining import confines
 ROOT = Path(__file__).parents[2]
 SEED = 1  # its first execution with a constant driver is a collision
 EVIL = "from pathlib import Path\nPath(r'{canary}').write_text('was here')\n"
-pytestmark = pytest.mark.filterwarnings("default:The driver is not")
+pytestmark = pytest.mark.filterwarnings("default:The driver or other code is not")
 CODE = {
     "ads": {"ads": "evil:Driver"},
     "env": {"env": "evil:evil/x-v0"},
@@ -250,7 +250,7 @@ def test_a_pickle_is_not_run_because_its_folder_trusts_it(theirs, a_run, capsys)
     digest = read_archive(theirs / "model.zip").digest
     run = a_run(theirs / "run", ads=str(theirs / "model.zip"), trust=(digest,), unconfined=True)
     resume = ["fuzz", "--resume", str(run), "--budget", "2", "--workers", "1"]
-    for command, said in ((["replay", str(run), "0"], f"add --trust {digest}"), (resume, "another driver: model.zip")):
+    for command, said in ((["replay", str(run), "0"], f"add --trust {digest}"), (resume, "has changed: model.zip")):
         assert main(command) == BAD_INPUT
         assert said in capsys.readouterr().err
         assert not (theirs / "canary").exists()
@@ -326,14 +326,14 @@ def test_an_own_run_whose_driver_has_changed_needs_a_word_and_does_not_go_on(own
     resume = ["fuzz", "--resume", str(own / "run"), "--budget", "3", "--workers", "1", "--quiet"]
     capsys.readouterr()
     assert main(resume) == BAD_INPUT
-    assert "would test another driver: module mine (SHA-256" in one_sentence(capsys)
+    assert "has changed: module mine (SHA-256" in one_sentence(capsys)
     assert main(replay) == BAD_INPUT
     digest = re.search(r"mine.py run.*add --trust (sha256:\w{64}).*since the run began", one_sentence(capsys))[1]
     assert main([*replay, "--trust", digest]) == OK
     assert main(replay) == BAD_INPUT  # one word, for one command
     capsys.readouterr()
     assert main([*resume, "--ads", "mine:Mine"]) == BAD_INPUT  # the driver's name is a word, too, but no way to mix two
-    assert "would test another driver: module mine (SHA-256" in one_sentence(capsys)
+    assert "has changed: module mine (SHA-256" in one_sentence(capsys)
     (own / "mine.py").write_text(MINE)
     assert main(resume) == OK
     assert main(replay) == OK

@@ -81,7 +81,7 @@ def test_a_driver_that_does_not_exist_is_one_sentence(tmp_path, capsys):
     assert "rules" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("flag", "value"), [("--method", "nsga3"), ("--budget", "0")])
+@pytest.mark.parametrize(("flag", "value"), [("--method", "nsga3"), ("--budget", "0"), ("--budget", "90s")])
 def test_a_search_that_cannot_begin_is_refused_before_anybody_drives(flag, value, tmp_path, monkeypatch, capsys):
     monkeypatch.delattr("behavexplor.commands.compare._drive")
     out = tmp_path / "out"

@@ -67,10 +67,14 @@ class BlockwiseNetwork:
     def ask(
         self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None = None
     ) -> tuple[Array, Memory | None]:
-        """Return the network's actions, shape (B, ...), and its memory, arrays (layers, B, ...), None if it has none.
+        """Return the network's actions, shape (B, ...), and its memory: arrays (layers, B, ...), None if it has none.
 
-        With `noise`, numbers in [0, 1) of shape (B, `noise_of(network)`), actions are drawn; without, they are the most
-        probable ones. The memory is that of the last call, None at first; for `episode_start`, see `ADS.predict`.
+        Args:
+            observation: arrays of shape (B, ...).
+            memory: what the last call returned; None at first.
+            episode_start: see `behavexplor.ads.interface.ADS.predict`.
+            noise: numbers in [0, 1) by which actions are drawn, shape (B, `noise_of(network)`); None for the most
+                probable actions.
         """
         with _LOCK, _one_thread():
             if self._actor is not None and noise is None and isinstance(observation, np.ndarray):
@@ -308,11 +312,18 @@ def dense_actor(policy: BasePolicy) -> DenseActor | None:
     if policy.squash_output or policy.device.type != "cpu":
         return None
     if isinstance(policy, LayeredPolicy):
-        is_discrete = isinstance(policy.action_space, gymnasium.spaces.Discrete)
-        return DenseActor(policy.chain, _greatest if is_discrete else _mean, policy) if policy.chain else None
+        return _of_chain(policy)
     if type(policy) is ActorCriticPolicy:
         return _of_distribution(policy)
     return _of_values(policy) if type(policy) is DQNPolicy else None
+
+
+def _of_chain(policy: LayeredPolicy) -> DenseActor | None:
+    layers = policy.chain
+    if not layers:
+        return None
+    is_discrete = isinstance(policy.action_space, gymnasium.spaces.Discrete)
+    return DenseActor(layers, _greatest if is_discrete else _mean, policy)
 
 
 def _of_distribution(policy: ActorCriticPolicy) -> DenseActor | None:

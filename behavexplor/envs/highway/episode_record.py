@@ -229,10 +229,11 @@ class Watch:
     ) -> tuple[int, float, float, float, float, int, int, bool]:
         number, _ = self._things.setdefault(id(thing), (len(self._things), thing))
         self.record.sizes.setdefault(number, (float(thing.LENGTH), float(thing.WIDTH)))
-        motion = (*thing.position.tolist(), float(thing.heading), float(getattr(thing, "speed", 0.0)))
+        x, y = thing.position.tolist()
+        heading, speed = float(thing.heading), float(getattr(thing, "speed", 0.0))
         lane = numbers.get(tuple(getattr(thing, "lane_index", None) or ()), NO_LANE)
         target = numbers.get(tuple(getattr(thing, "target_lane_index", None) or ()), NO_LANE)
-        return number, *motion, lane, target, bool(thing.crashed)
+        return number, x, y, heading, speed, lane, target, bool(thing.crashed)
 
 
 def _joined(things: Sequence[Records]) -> Records:
@@ -307,7 +308,7 @@ def _returns(node: str, curves: dict[str, str]) -> bool:
 
 
 def _way(ends: tuple[str, str], curves: dict[str, str], ring: frozenset[str], turn: float) -> str:
-    """Return what a vehicle does on the road between two nodes, one of `WAYS`; `turn` is the road's [rad]."""
+    """Return what a vehicle does on a lane between two nodes, one of `WAYS`; `turn` is the lane's [rad]."""
     origin, target = ends
     if origin in ring:
         return "driving-in-the-ring" if curves[origin] == target else "leaving-the-ring"

@@ -1,4 +1,4 @@
-"""Rewards and ends: the terms of which highway-env's `_rewards` consist, `_reward`, and `_is_terminated`."""
+"""Rewards and ends: highway-env's `_rewards` term by term, `_reward`, and `_is_terminated`."""
 
 import sys
 from typing import Any, Final

@@ -94,7 +94,8 @@ def _decide(world: ScriptedWorld, slots: ScriptedSlots, b: int, action: Floats, 
 @kernel_inner
 def _have_room(world: ScriptedWorld, slots: ScriptedSlots, actions: Floats, active: Bools) -> bool:
     """Return whether the slots have room for another decision of the active episodes."""
-    rules, (n_decisions, n_values) = world.rules[0], slots.actions.shape[1:]
+    rules = world.rules[0]
+    n_decisions, n_values = slots.actions.shape[1:]
     if rules.max_frames >= slots.poses.shape[1] or actions.shape[1] > n_values:
         return False
     for b in range(len(active)):
