@@ -10,6 +10,7 @@ import re
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
@@ -36,7 +37,7 @@ from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MOST_ENVS
-from behavexplor.data.durable import check_file, make_folder, new_file, write_durably, writing
+from behavexplor.data.durable import check_file, make_folder, write_durably, write_saved, writing
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import between, validated
 from behavexplor.envs.making import environment_id
@@ -156,8 +157,7 @@ def save_model(model: BaseAlgorithm, path: Path) -> None:
         "steps": model.num_timesteps,
         "updates": model._n_updates,  # noqa: SLF001 - the logs show it
     }
-    with new_file(path) as file:
-        torch.save(learned, file)
+    write_saved(path, partial(torch.save, learned))
 
 
 def restore_model(model: BaseAlgorithm, path: Path, otherwise: str) -> None:
@@ -229,9 +229,8 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
     load_layers(model, network.layers)
     venv.close()
     with writing(path):
-        make_folder(path.parent)  # makes it
-        with new_file(path) as file:
-            model.save(file)
+        make_folder(path.parent)
+        write_saved(path, model.save)
         write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": env, "decision": network.rule}))
 
 

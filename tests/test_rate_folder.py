@@ -32,6 +32,13 @@ def evaluated(folder, n, workers=0, goal=None):
     return result, (folder / OUTCOMES).read_bytes()
 
 
+def test_a_folder_with_files_of_the_users_own_is_left_as_it_is(tmp_path):
+    (tmp_path / "card.md").write_text("mine")
+    with pytest.raises(InputError, match="is not empty"):
+        RateFolder(tmp_path, CONFIG)
+    assert [path.name for path in tmp_path.iterdir()] == ["card.md"]
+
+
 def test_workers_do_not_change_the_file(tmp_path):
     found = [evaluated(tmp_path / str(workers), 700, workers) for workers in (0, 1, 2)]
     assert found[0] == found[1] == found[2]

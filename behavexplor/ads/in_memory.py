@@ -32,6 +32,8 @@ class GivenDriver:
         Raises:
             InputError: if the files beside a policy name an environment of another package.
         """
+        if isinstance(env, str):
+            return named_env(env, self.name)
         return env or (named_env(None, self.name) if self.is_named else self.env)
 
 

@@ -170,6 +170,7 @@ def compare(  # noqa: PLR0913 - one argument for each choice
     for given in (one, other):  # before the first one drives, which may take hours
         worker_count(given, replace(config, ads=given.name).target, workers)
     folder = Path(out) if out is not None else stamped_folder("compare")
+    pair_campaigns.check_new(folder)
     try:
         goes_on = False
         for budget in pair_campaigns.looks(scenarios, margin):

@@ -17,7 +17,7 @@ from behavexplor.api.given_environments import environment_of, given_config
 from behavexplor.api.rate_folder import CARD, RateFolder
 from behavexplor.campaign.config import CampaignConfig, campaign_config, check_said_twice, read_yaml
 from behavexplor.data.trace import ARRIVED
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, brief
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
 from behavexplor.judge.rates import ALPHA, AT_FAULT, FAILED, Goal, check_outcome
@@ -27,6 +27,7 @@ from behavexplor.report.run_page import written
 
 BOARD: Final = "board.html"
 _SUFFIXES: Final = (".zip", ".npz", *WEIGHTS)  # of policy files
+_OF_ALL: Final = frozenset({"scenarios", "out", "goal", "alpha", "observe"})  # what the drivers of a board share
 _UNUSED: Final = frozenset({"method", "options", "budget", "batch", "specs", "revision"})  # keys of searches only
 
 
@@ -70,6 +71,10 @@ def evaluate(  # noqa: PLR0913 - one argument for each choice
         )
     if scenarios < 1:
         raise InputError(f"scenarios must be at least 1, got {scenarios}")
+    if not 0.0 < alpha < 1.0:
+        raise InputError(f"alpha must lie between 0 and 1, got {alpha}")
+    if not (goal is None or isinstance(goal, Goal)):
+        raise InputError(f"goal must be a behavexplor.Goal, got {brief(goal)}")
     given = given_driver(driver)
     name, changes = environment_of(given.env_or_trained_in(env) or CampaignConfig.env)
     values = {"env": name, "ads": given.name, "env_config": given_config(changes, env_config), **settings}
@@ -112,6 +117,8 @@ def listed(policies: str | Path | Mapping[str, Mapping[str, Any]]) -> dict[str, 
                 f"{policies}: the name {name!r:.80} becomes that of a folder, and must consist of letters, digits, _, "
                 "- and dots, beginning with a letter, digit or _"
             )
+        if shared := sorted(_OF_ALL & entry.keys()):
+            raise InputError(f"{policies}: {name} has the key {shared[0]!r}, which all drivers share: remove it")
     if not found:
         raise InputError(f"{policies} has no policy")
     return {name: dict(entry) for name, entry in found.items()}

@@ -17,7 +17,7 @@ from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import identity_of
-from behavexplor.campaign.store import Store
+from behavexplor.campaign.store import Store, check_free
 from behavexplor.data.durable import make_folder, new_file, write_durably, writing
 from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import OF_EPISODES
@@ -52,6 +52,8 @@ class RateFolder:
     """
 
     def __init__(self, path: Path, config: CampaignConfig) -> None:
+        if not (path / OUTCOMES).is_file():
+            check_free(path)  # files of the user's own would be replaced
         with writing(f"The folder {path}"):
             self.path = make_folder(path)
         identity = identity_of(config)
@@ -79,7 +81,8 @@ class RateFolder:
         if not lines or (goes_on and summarize(self.run).executions >= len(lines)):
             return
         listed = self.path / SCENARIOS
-        write_durably(listed, "".join(lines))
+        with writing(listed):
+            write_durably(listed, "".join(lines))
         options, budget = {"file": str(listed.resolve())}, str(len(lines))
         config = replace(self._config, method=GIVEN, options=options, budget=budget, batch=_BATCH)
         with opened(config, self.run, workers, resume=goes_on, driver=driver) as ready:

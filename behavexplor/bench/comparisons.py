@@ -1,10 +1,9 @@
 """The comparisons of an experiment's methods: tables, campaigns in equal time, and curves of what they find."""
 
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from behavexplor.bench.experiment import Experiment, slug
 from behavexplor.bench.statistics import LEVEL, Estimate, compare, compare_together, least_p
@@ -263,36 +262,3 @@ def curves_csv(found: Sequence[Curve]) -> str:
             ends = ("" if math.isnan(end) else round(end, 6) for end in (point.low, point.high))
             rows.append((curve.figure, curve.env, curve.ads, curve.method, count, point.n, round(point.mean, 6), *ends))
     return csv_text(rows)
-
-
-def curves_svg(found: Sequence[Curve]) -> str:
-    """Return the curves as an SVG figure with a panel for each environment and ADS."""
-    import matplotlib as mpl  # noqa: PLC0415 - heavy
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
-    places = list(dict.fromkeys((curve.env, curve.ads) for curve in found))
-    figures = list(dict.fromkeys(curve.figure for curve in found))
-    several_ads = len(places) > len({env for env, _ in places})
-    text = io.StringIO()
-    settings: Any = {"svg.hashsalt": "behavexplor", "svg.fonttype": "none", "axes.spines.top": False}
-    with mpl.rc_context({**settings, "axes.spines.right": False}):
-        sheet = Figure(figsize=(4.2 * len(places), 3.2 * len(figures)), layout="constrained")
-        panels = sheet.subplots(len(figures), len(places), squeeze=False)
-        for row, figure in enumerate(figures):
-            for column, (env, ads) in enumerate(places):
-                panel = panels[row][column]
-                for curve in found:
-                    if (curve.figure, curve.env, curve.ads) == (figure, env, ads):
-                        _draw(panel, curve)
-                panel.set(title=f"{env}, {ads}" if several_ads else env, xlabel="executions", ylabel=figure)
-        panels[0][0].legend(frameon=False, fontsize="small")
-        sheet.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    return text.getvalue()
-
-
-def _draw(panel: Any, curve: Curve) -> None:
-    """Draw a curve with its confidence interval."""
-    means = [point.mean for point in curve.found]
-    (line,) = panel.plot(curve.executions, means, label=curve.method)
-    low, high = ([getattr(point, end) for point in curve.found] for end in ("low", "high"))
-    panel.fill_between(curve.executions, low, high, color=line.get_color(), alpha=0.15, lw=0)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.bench.comparisons import curves, curves_csv, curves_svg, headline
+from behavexplor.bench.comparisons import curves, curves_csv, headline
 from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, read_experiment
 from behavexplor.bench.experiment_archive import ARCHIVE, Archive, read_archive, write_archive
 from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, forecast, run_state
@@ -128,7 +128,7 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
     seconds = forecast(experiment, runs, root, at_a_time)
     lines = [
         f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}",
-        f"{finished} finished; {counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time",
+        f"{finished} finished; {counted(left, 'execution')} left, at least {clock(seconds)} with {at_a_time} at a time",
     ]
     return "\n".join(map(wrapped, lines))
 
@@ -201,7 +201,6 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
     files = {"summaries.csv": summaries_csv(summaries), "tables.txt": listed, "curves.csv": curves_csv(drawn)}
     files |= {f"tables/{table.name}.csv": table_csv(table) for table in all_tables}
     files |= {f"tables/{table.name}.md": table_markdown(table) for table in all_tables}
-    files["curves.svg"] = curves_svg(drawn)
     verdicts = headline(experiment, summaries)
     files[PAGE] = experiment_page(experiment, summaries, [*verdicts, *all_tables], drawn)
     with writing(f"The tables in {root}"):

@@ -90,7 +90,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     searching = replace(config, batch=CampaignConfig.batch, **of_search)
     if search:
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
-    folder = out or stamped_folder("compare")
+    pair_campaigns.check_new(folder := out or stamped_folder("compare"))
     begun = time.monotonic()
     try:
         other, pairs, verdict = _drive_both(config, second, folder, count, margin, quiet=quiet)

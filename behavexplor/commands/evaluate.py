@@ -26,7 +26,7 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, 
 from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
-from behavexplor.commands.rate_table import rates_table
+from behavexplor.commands.rate_table import rates_table, shown_outcomes
 from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience
 from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.drawn_scenario import DEFAULT
@@ -104,9 +104,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         quiet: Print only the table.
     """
-    output, goal = check_outputs(json_file, junit), _goal(outcome or Goal.outcome, below, until)
-    if junit is not None and below is None:
-        raise InputError("--junit writes whether a threshold was met: give one with --below")
+    output, goal = check_outputs(json_file, junit), _goal(outcome or Goal.outcome, below, until, junit)
     default = DECIDING if goal else SCENARIOS
     count = default if scenarios is None else scenarios
     if not 1 <= count <= MOST_SCENARIOS:
@@ -121,7 +119,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
             return _ranked(policies, out, {**given, "outcome": outcome or FAILED}, run, output)
         found = _evaluations(config, run, controls=controls)
     except (RuntimeError, ExecutionError) as error:
-        say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
+        said = str(error) if isinstance(error, ExecutionError) else f"A scenario could not be executed: {error}"
+        say(f"{program()}: {sentence(said)}", file=sys.stderr)
         return EXECUTION_FAILED
     _say_rates(config, found, folder, output)
     write_json(json_file, _values(config, found))
@@ -168,8 +167,10 @@ def _ranked(policies: Path, out: Path | None, given: dict[str, Any], run: _Run, 
     return OK
 
 
-def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None:
+def _goal(outcome: str, below: float | None, until: float | None, junit: Path | None) -> Goal | None:
     """Return what is to be decided; None without a flag that asks for it."""
+    if junit is not None and below is None:
+        raise InputError("--junit writes whether a threshold was met: give one with --below")
     check_outcome(outcome)
     if below is None and until is None:
         return None
@@ -240,9 +241,9 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
     """Return a sentence on whether a policy drives differently when its actions are drawn."""
     cells = {
         name: [[found.counts.get(name, 0), found.n - found.counts.get(name, 0)] for found in (chosen, drawn)]
-        for name in {**chosen.counts, **drawn.counts}
+        for name in shown_outcomes({"": chosen, DRAWN: drawn})
+        if ": " not in name  # faults are part of collisions
     }
-    cells = {name: table for name, table in cells.items() if ": " not in name}  # faults are part of collisions
     differing = [name for name, table in cells.items() if scipy.stats.fisher_exact(table).pvalue < DIFFERENT]
     if not differing:
         return "With drawn actions, as in training, no rate differs significantly (Fisher's exact test, 1 %)."

@@ -18,7 +18,7 @@ def rates_table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
     """
     (name, first), *others = evaluations.items()
     rates = grid("", name, numbers=[name])
-    for outcome in _rows({name: first}):
+    for outcome in shown_outcomes({name: first}):
         low, high = first.interval(outcome)
         interval = "" if first.decision else f" ({low:.1%} to {high:.1%})"
         kind, _, fault = outcome.partition(": ")
@@ -26,7 +26,7 @@ def rates_table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
     intervals = "the one interval that holds is below" if first.decision else "with 95 % intervals"
     lines = [wrapped(f"{first.n} scenarios of {env}, {intervals}:"), plain_text(rates)]
     if others:
-        shown = [outcome for outcome in _rows(dict(others)) if ": " not in outcome]
+        shown = [outcome for outcome in shown_outcomes(dict(others)) if ": " not in outcome]
         beside = grid("", *shown, numbers=shown)
         for heading, found in others:
             beside.add_row(heading, *(f"{found.rate(outcome):.1%}" for outcome in shown))
@@ -34,7 +34,7 @@ def rates_table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
     return "\n".join(lines)
 
 
-def _rows(evaluations: Mapping[str, Evaluation]) -> list[str]:
+def shown_outcomes(evaluations: Mapping[str, Evaluation]) -> list[str]:
     """Return the outcomes that are shown of some evaluations, each kind of outcome together."""
     outcomes = dict.fromkeys(
         outcome for found in evaluations.values() for outcome in found.counts if not _is_redundant(outcome, evaluations)

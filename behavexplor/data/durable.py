@@ -8,9 +8,9 @@ import errno
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from io import BufferedWriter
+from io import BufferedWriter, BytesIO
 from pathlib import Path
 
 from behavexplor.errors import InputError
@@ -33,6 +33,13 @@ def write_durably(path: Path, content: str | bytes) -> None:
     """
     with new_file(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
+
+
+def write_saved(path: Path, save: Callable[[BytesIO], object]) -> None:
+    """Write durably what `save` writes into a file in memory: torch hides errors of the disk. See `write_durably`."""
+    saved = BytesIO()
+    save(saved)
+    write_durably(path, saved.getvalue())
 
 
 def write_whole(path: Path, text: str) -> None:

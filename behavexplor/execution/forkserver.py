@@ -1,6 +1,7 @@
 """The server process of `multiprocessing`, which imports modules once for all worker processes, its copies."""
 
 import multiprocessing
+import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -15,6 +16,7 @@ from behavexplor.ads.sb3.description import is_policy
 
 CAN_SHARE: Final = "forkserver" in multiprocessing.get_all_start_methods()
 _MAIN: Final = "__main__"
+_SAFE_PATH: Final = "PYTHONSAFEPATH"  # variable with which Python does not look into the working folder first
 
 
 def share_imports(modules: Sequence[str]) -> None:
@@ -22,27 +24,32 @@ def share_imports(modules: Sequence[str]) -> None:
     if not CAN_SHARE:
         return
     set_forkserver_preload(list(modules))
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited, so Ctrl-C does not end the imports
-    try:
-        ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with clean_start():
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited: Ctrl-C does not end the imports
+        try:
+            ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
-def without_script() -> Iterator[None]:
-    """Return a context in which processes start that do not run the user's script again.
+def clean_start() -> Iterator[None]:
+    """Return a context in which processes start that run neither the user's script again nor files of a foreign folder.
 
     `multiprocessing` imports the script in each new process, because what the process gets may come from there. What a
-    worker gets never does, and a script without `if __name__ == "__main__":` would train its policy again.
+    worker gets never does, and a script without `if __name__ == "__main__":` would train its policy again. Besides, a
+    new process looks for modules in the working folder first, where a random.py would take the place of a library.
     """
-    script = sys.modules[_MAIN]
-    sys.modules[_MAIN] = ModuleType(_MAIN)
+    script, safe = sys.modules[_MAIN], os.environ.get(_SAFE_PATH)
+    sys.modules[_MAIN], os.environ[_SAFE_PATH] = ModuleType(_MAIN), "1"
     try:
         yield
     finally:
         sys.modules[_MAIN] = script
+        del os.environ[_SAFE_PATH]
+        if safe is not None:
+            os.environ[_SAFE_PATH] = safe
 
 
 def slow_modules(env: str, ads: str) -> tuple[str, ...]:

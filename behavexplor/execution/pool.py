@@ -25,7 +25,7 @@ from typing import Any, Final
 from behavexplor.errors import InputError, described
 from behavexplor.execution.demand import AwaitedFuture, Demand
 from behavexplor.execution.executor import BATCHES, ADSError, Executor
-from behavexplor.execution.forkserver import CAN_SHARE, share_imports, without_script
+from behavexplor.execution.forkserver import CAN_SHARE, clean_start, share_imports
 from behavexplor.execution.messages import READY, STARTED, SUSPECT, Request, answers_in, packed, settle
 from behavexplor.execution.service import Recipe
 from behavexplor.execution.worker import CLOSED, serve
@@ -307,7 +307,7 @@ class _Worker:
         pipe = self.output.theirs if self.output else None
         arguments = (theirs, self.asking, recipe, memory_limit, folder, dict(os.environ), pipe)
         self._process = context.Process(target=serve, args=arguments, daemon=not recipe.long_calls)
-        with without_script():
+        with clean_start():
             self._process.start()
         theirs.close()
         _limit_waiting(self.connection)

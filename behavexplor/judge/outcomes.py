@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from behavexplor.data.durable import append_durably, check_file
+from behavexplor.data.durable import append_durably, check_file, writing
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.errors import InputError
 from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault
@@ -120,9 +120,10 @@ class OutcomeFile:
         """Write a block to disk.
 
         Raises:
-            InputError: if the file was deleted since, because a new one would be without the earlier blocks.
+            InputError: if it cannot be written, or was deleted since: a new one would be without the earlier blocks.
         """
         if not self.path.is_file():
             raise InputError(f"{self.path} was deleted or moved while the evaluation ran")
         line = json.dumps({**packed(block.outcomes), "state": block.state})
-        append_durably(self.path, line.encode() + b"\n")
+        with writing(self.path):
+            append_durably(self.path, line.encode() + b"\n")

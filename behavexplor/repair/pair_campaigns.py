@@ -146,13 +146,15 @@ def check_numbers(scenarios: int, margin: float | None) -> None:
 
 
 def check_margin(margin: float | None) -> None:
-    """Check the margin of a comparison, if there is one.
-
-    Raises:
-        InputError: if it cannot be used.
-    """
+    """Raise an `InputError` if the margin of a comparison cannot be used; None is none."""
     if margin is not None and not 0.0 < margin < 1.0:
         raise InputError(f"The margin {margin} must lie between 0 and 1, such as 0.01 for one point")
+
+
+def check_new(folder: Path) -> None:
+    """Raise an `InputError` if a comparison cannot begin in a folder, because it is not empty."""
+    if folder.is_dir() and any(folder.iterdir()):
+        raise InputError(f"{folder} is not empty, and a comparison cannot be continued: choose another folder")
 
 
 def looks(n: int, margin: float | None) -> Iterator[int]:

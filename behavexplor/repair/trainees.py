@@ -19,7 +19,7 @@ from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
 from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, OWN, WEIGHTS, describe, find_model
-from behavexplor.data.durable import new_file, write_durably
+from behavexplor.data.durable import write_durably, write_saved
 from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.target import Target
 from behavexplor.data.untrusted import read_file
@@ -152,8 +152,7 @@ def _of_model(simulation: Simulation, env: str, path: Path, seed: int, envs: int
     settings = {"env": env, **_settings(simulation)}
 
     def write(file: Path) -> None:
-        with new_file(file) as content:
-            model.save(content)
+        write_saved(file, model.save)
         write_durably(file.with_suffix(".yaml"), yaml.safe_dump(settings, sort_keys=False))
 
     rate = learning_rate_of(archive) or _RATE

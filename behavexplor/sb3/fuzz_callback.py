@@ -16,7 +16,7 @@ from behavexplor.api.campaigns import config_of, find_failures
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import stamped_folder
 from behavexplor.campaign.run_summary import RunSummary
-from behavexplor.data.durable import make_folder, new_file
+from behavexplor.data.durable import make_folder, write_saved
 from behavexplor.errors import InputError, brief
 from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
@@ -181,8 +181,7 @@ class FuzzCallback(BaseCallback):
         """Save the policy if it is the best one so far."""
         if self.best is None or found.summary.at_fault <= self.best.summary.at_fault:
             self.best = found
-            with new_file(self.folder / BEST) as file:
-                self.model.save(file)
+            write_saved(self.folder / BEST, self.model.save)
 
     def _log(self, found: FuzzingRound) -> None:
         figures = {

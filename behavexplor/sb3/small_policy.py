@@ -9,7 +9,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
-from behavexplor.data.durable import new_file, write_durably
+from behavexplor.data.durable import write_durably, write_saved
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 
 ENV: Final = "highway-fast-v0"
@@ -33,8 +33,7 @@ def train_small_policy(folder: Path, steps: int, observe: Callable[[int], None])
     model.learn(steps, callback=_Watch(observe))
     envs.close()
     path = folder / "model.zip"
-    with new_file(path) as file:
-        model.save(file)
+    write_saved(path, model.save)
     write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": ENV, "config": _CONFIG}))
     return path
 

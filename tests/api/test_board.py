@@ -126,3 +126,31 @@ def test_trust_counts_only_if_the_user_gives_it(tmp_path):
 def test_an_evaluation_of_no_scenarios_is_refused(scenarios):
     with pytest.raises(InputError, match="scenarios must be at least 1"):
         behavexplor.evaluate("constant:FASTER", "highway-fast-v0", scenarios=scenarios)
+
+
+@pytest.mark.parametrize("key", ["scenarios", "goal", "observe", "alpha", "out"])
+def test_an_entry_sets_nothing_that_all_drivers_share(key):
+    with pytest.raises(InputError, match=f"a has the key '{key}'"):
+        listed({"a": {"ads": "careful", "env": "highway-fast-v0", key: 3}})
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"alpha": 2.0}, "alpha must lie between 0 and 1, got 2.0"),
+        ({"goal": 0.1}, "goal must be a behavexplor.Goal, got 0.1"),
+        ({"scenarios": 0}, "scenarios must be at least 1, got 0"),
+        ({"env": ""}, "name of the environment is empty"),
+    ],
+)
+def test_what_an_evaluation_cannot_use_is_refused_before_anybody_drives(settings, message, monkeypatch):
+    monkeypatch.delattr("behavexplor.api.evaluating.start_judge")
+    with pytest.raises(InputError, match=message):
+        behavexplor.evaluate("constant", **{"env": "lane-follow", "workers": 0, **settings})
+
+
+def test_an_empty_name_is_no_environment(capsys):
+    assert main(["fuzz", "--env", "", "--ads", "constant"]) == BAD_INPUT
+    assert "name of the environment is empty" in capsys.readouterr().err
+    with pytest.raises(InputError, match="name of the environment is empty"):
+        behavexplor.find_failures("constant", "", budget=1)

@@ -4,12 +4,11 @@ import csv
 import io
 import math
 from dataclasses import replace
-from xml.etree import ElementTree
 
 import pytest
 from scipy.stats import pearsonr
 
-from behavexplor.bench.comparisons import curves, curves_csv, curves_svg, headline
+from behavexplor.bench.comparisons import curves, curves_csv, headline
 from behavexplor.bench.experiment import experiment_config
 from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Failure, Mutant, Summary, correlation, summaries_csv
@@ -438,11 +437,3 @@ def test_curves_of_unique_violations_count_a_class_once():
     assert by_figure["unique violations"].found[-1].mean == 2
     assert by_figure["failures at fault"].found[-1].mean == CLASSIFIED[0].at_fault()
     assert by_figure["classes of failures at fault"].found[-1].mean == len(CLASSIFIED[0].kinds_at_fault())
-
-
-def test_the_figure_is_the_same_file_again_and_has_every_curve():
-    drawn = curves(EXPERIMENT, CLASSIFIED)
-    figure = curves_svg(drawn)
-    assert figure == curves_svg(drawn)
-    words = {element.text for element in ElementTree.fromstring(figure).iter() if element.text}
-    assert {"lane-follow", "executions", "unique violations", "Search", "w/o it"} <= words

@@ -143,12 +143,13 @@ def test_the_flag_that_is_named_runs_it(theirs, a_run, capsys):
 
 def test_no_library_is_loaded_from_the_folder_in_which_a_user_stands(theirs, a_run, tmp_path):
     a_run(theirs / "run")
-    for library in ("tyro", "yaml", "highway_env"):
+    for library in ("tyro", "yaml", "highway_env", "numpy", "random", "socket"):
         (theirs / f"{library}.py").write_text(EVIL.format(canary=theirs / "canary"))
     (tmp_path / "script.py").write_text("import sys\nfrom behavexplor.commands import main\nsys.exit(main())\n")
-    command = [sys.executable, str(tmp_path / "script.py"), "status", "run"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    subprocess.run(command, cwd=theirs, env=environment, check=True, capture_output=True, timeout=60)
+    for arguments in (["status", "run"], ["replay", "run", "0", "--out", str(tmp_path / "out")]):
+        command = [sys.executable, str(tmp_path / "script.py"), *arguments]
+        subprocess.run(command, cwd=theirs, env=environment, check=True, capture_output=True, timeout=120)
     assert not (theirs / "canary").exists()
 
 

@@ -2,6 +2,8 @@
 
 import ast
 import os
+import subprocess
+import sys
 import threading
 from functools import partial
 from pathlib import Path
@@ -11,7 +13,7 @@ import pytest
 import behavexplor
 from behavexplor.campaign.config import read_yaml
 from behavexplor.commands.fuzz import read_known_classes
-from behavexplor.data.durable import check_file, make_folder, new_file, write_durably, write_given
+from behavexplor.data.durable import check_file, make_folder, new_file, write_durably, write_given, write_saved
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
@@ -56,6 +58,27 @@ def test_a_pipe_is_written_only_where_the_user_names_it(tmp_path):
     reader.join(5)
     assert got == ["text"]
     assert (tmp_path / "pipe").is_fifo()
+
+
+def test_an_error_of_the_disk_is_not_hidden_by_what_saves(tmp_path):
+    """torch, which fills the file, would end with an error of its own instead."""
+    code = """
+import resource, sys, torch
+from functools import partial
+from pathlib import Path
+from behavexplor.data.durable import write_saved
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+try:
+    write_saved(Path("weights.pt"), partial(torch.save, torch.zeros(10_000)))
+except OSError as error:
+    print(error.strerror)
+"""
+    command = [sys.executable, "-c", code]
+    said = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True, timeout=120).stdout
+    assert said == "File too large\n"
+    assert not list(tmp_path.iterdir())
+    write_saved(tmp_path / "weights.pt", lambda file: file.write(b"numbers"))
+    assert (tmp_path / "weights.pt").read_bytes() == b"numbers"
 
 
 def test_a_folder_inside_may_not_be_a_link(tmp_path):

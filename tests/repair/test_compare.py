@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import behavexplor
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, UNDECIDED, main
 from behavexplor.commands.compare import MarginDecision, searched, values
+from behavexplor.errors import InputError
 from behavexplor.judge import specs
 from behavexplor.judge.outcomes import outcomes_of
 from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
@@ -88,6 +90,14 @@ def test_a_search_that_cannot_begin_is_refused_before_anybody_drives(flag, value
     assert main(["compare", "rule", "idm", "--search", flag, value, "--workers", "0", "--out", str(out)]) == BAD_INPUT
     assert f"{value!r}" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_comparison_that_was_interrupted_is_not_continued(tmp_path, capsys):
+    (tmp_path / "first").mkdir()
+    assert main(["compare", "rule", "idm", "--workers", "0", "--out", str(tmp_path)]) == BAD_INPUT
+    assert "is not empty, and a comparison cannot be continued" in " ".join(capsys.readouterr().err.split())
+    with pytest.raises(InputError, match="cannot be continued"):
+        behavexplor.compare("constant", "constant", "lane-follow", scenarios=1, workers=0, out=tmp_path)
 
 
 def test_a_search_that_fails_leaves_the_comparison_on_disk(tmp_path, monkeypatch, capsys):

@@ -124,8 +124,10 @@ def named_env(env: str | None, ads: str) -> str | None:
     """Return `env` if one was named, or else the environment in which a policy was trained; None if unknown.
 
     Raises:
-        InputError: if the files beside the policy name an environment of another package.
+        InputError: if the name is empty, or the files beside the policy name an environment of another package.
     """
+    if env == "":
+        raise InputError("The name of the environment is empty: leave it out, or give one such as highway-fast-v0")
     found = env or trained_in(ads)
     if env is None and found is not None and env_code(found):
         raise InputError(
