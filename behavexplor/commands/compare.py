@@ -83,14 +83,14 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     """
     count = chosen_workers(workers)
     output = check_outputs(json_file, junit)
-    _check(scenarios, margin, junit, first, second)
+    _check(scenarios, margin, junit, out, (first, second))
     of_search = {name: given.get(name, default) for name, default in _SEARCH.items()}
     env = named_env(given.get("env"), first) or CampaignConfig.env
     config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})
     searching = replace(config, batch=CampaignConfig.batch, **of_search)
     if search:
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
-    pair_campaigns.check_new(folder := out or stamped_folder("compare"))
+    folder = out or stamped_folder("compare")
     begun = time.monotonic()
     try:
         other, pairs, verdict = _drive_both(config, second, folder, count, margin, quiet=quiet)
@@ -114,12 +114,16 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     return OK if verdict is None else _CODES[verdict.found]
 
 
-def _check(scenarios: int, margin: float | None, junit: Path | None, first: str, second: str) -> None:
+def _check(
+    scenarios: int, margin: float | None, junit: Path | None, out: Path | None, drivers: tuple[str, str]
+) -> None:
     """Check what does not depend on anything that is loaded."""
     if junit is not None and margin is None:
         raise InputError("--junit writes whether a threshold was met: give one with --margin")
     pair_campaigns.check_numbers(scenarios, margin)
-    for name in (first, second):
+    if out is not None:
+        pair_campaigns.check_new(out)
+    for name in drivers:
         check_name(name)
 
 

@@ -13,11 +13,8 @@ from behavexplor.data.durable import write_durably, write_saved
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 
 ENV: Final = "highway-fast-v0"
-_CONFIG: Final = {
-    "lanes_count": 3,
-    "vehicles_count": 20,
-    "duration": 30,
-}  # highway-env's own, said in the model's YAML file
+# highway-env's own, said in the model's YAML file
+_CONFIG: Final = {"lanes_count": 3, "vehicles_count": 20, "duration": 30}
 _ENVS: Final = 32
 _SETTINGS: Final = {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "gamma": 0.9, "learning_rate": 1e-3}
 
