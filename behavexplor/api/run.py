@@ -168,9 +168,10 @@ class Run:
         return stored_config(self.folder).says
 
     def _accepted(self, runs: Collection[str] = DRIVING, *, goes_on: bool = False) -> CampaignConfig:
-        """Return the configuration, after a check that the code that it names by the keys `runs` may be run."""
+        """Return the configuration. Its code under the keys `runs` may be run; see `accepted_run`."""
         given = self._given
-        consent = replace(self._consent, names=(given.name,) if given.is_named or given.driver is not None else ())
+        names = (given.name,) if given.is_named or given.driver is not None else ()  # code that the user has given
+        consent = replace(self._consent, names=names)
         return accepted_run(self.folder, consent, runs, goes_on=goes_on)
 
     @property

@@ -1,4 +1,4 @@
-"""The runs of an experiment: their states, a runner that executes the unfinished ones, and a forecast of its time.
+"""The runs of an experiment: their states, and a runner that executes the unfinished ones.
 
 `CampaignService` runs whole campaigns in worker processes and on clusters.
 """
@@ -17,27 +17,25 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
-from behavexplor.bench.experiment import Experiment, PlannedRun
+from behavexplor.bench.experiment import PlannedRun
 from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, check_revision, stored_config
 from behavexplor.campaign.folder_format import DATABASE
 from behavexplor.campaign.opening import opened
-from behavexplor.campaign.progress import executing_and_analysing
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.store import Store
 from behavexplor.data.durable import make_folder
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
-from behavexplor.execution.evaluator import EXECUTE, evaluator_recipe
-from behavexplor.execution.executor import ADSError, Executor
+from behavexplor.execution.evaluator import evaluator_recipe
+from behavexplor.execution.executor import Executor
 from behavexplor.execution.fingerprint import FINGERPRINT, machine_fingerprint
 from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.ray_cluster import RayExecutor
 from behavexplor.execution.service import Recipe, Service
-from behavexplor.execution.start import fewest_workers, logical_of_target, start_executor
+from behavexplor.execution.start import fewest_workers
 
 RUN: Final = "run"  # name of the service's function
 _PRELOAD: Final = ("behavexplor.bench.runs", "behavexplor.envs.driving", "sklearn.cluster")
@@ -324,68 +322,3 @@ class ExperimentRunner:
         self.progress = replace(
             self.progress, executions=done, total=done + left, left=left / rate if rate > 0 else None
         )
-
-
-TRIAL: Final = 10  # number of timed executions
-_WARMING: Final = 2  # number of executions before them, which compile kernels
-
-
-def forecast(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: int) -> float:
-    """Return the estimated time for the unfinished ones of these runs, `jobs` campaigns at a time [s].
-
-    The estimate uses the measured time per execution of stored campaigns with the same environment, ADS and method.
-    Without such a campaign, a few executions are timed now, and the time of the search method itself is left out.
-
-    Raises:
-        InputError: if an ADS or an environment cannot be used.
-    """
-    measured = _measured(runs, root)
-    seconds = 0.0
-    for run in runs:
-        found = run_state(run, root)
-        if found.finished:
-            continue
-        place = (run.env, run.ads)
-        if (*place, run.method) not in measured and place not in measured:
-            measured[place] = trial(run.config.target, experiment.batch)
-        seconds += (experiment.budget - found.executions) * measured.get((*place, run.method), measured.get(place, 0))
-    return seconds / jobs
-
-
-def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], float]:
-    """Return the mean measured time per execution by environment, ADS and method [s]."""
-    found: dict[tuple[str, ...], list[float]] = {}
-    for run in runs:
-        if not (root / run.folder / DATABASE).is_file():
-            continue
-        with closing(Store.read(root / run.folder)) as store:
-            count = len(store)
-            seconds = sum(executing_and_analysing(store.stages))  # nan if it is not known
-        if count and not math.isnan(seconds):
-            found.setdefault((run.env, run.ads, run.method), []).append(seconds / count)
-    return {key: float(np.mean(values)) for key, values in found.items()}
-
-
-def trial(target: Target, batch: int) -> float:
-    """Return the mean time of a few executions, `batch` at a time as in a campaign [s].
-
-    Raises:
-        InputError: if the ADS or the environment cannot be used.
-    """
-    generator = np.random.default_rng(0)
-    with start_executor(target, fewest_workers(target)) as executor:
-        logical = logical_of_target(executor, target.env)
-        requests = [logical.sample(generator).to_json().encode() for _ in range(_WARMING + TRIAL)]
-        _execute(executor, requests[:_WARMING], batch)
-        start = time.monotonic()
-        _execute(executor, requests[_WARMING:], batch)
-        return (time.monotonic() - start) / TRIAL
-
-
-def _execute(executor: Executor, requests: Sequence[bytes], batch: int) -> None:
-    """Execute scenarios, as many at a time as a campaign does."""
-    for begin in range(0, len(requests), batch):
-        futures = [executor.submit(EXECUTE, request) for request in requests[begin : begin + batch]]
-        for future in futures:
-            with suppress(ADSError):  # a campaign records it, and goes on
-                future.result()

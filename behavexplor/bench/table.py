@@ -111,10 +111,10 @@ def n_weaknesses(summary: Summary) -> int:
 def shown(value: Value, column: Column) -> str:
     """Return a value as text for display."""
     if isinstance(value, Estimate):
-        middle = f"{value.mean:.{column.digits}f}"
+        text = f"{value.mean:.{column.digits}f}"
         if not column.interval or math.isnan(value.low):
-            return middle
-        return f"{middle} [{value.low:.{column.digits}f}, {value.high:.{column.digits}f}]"
+            return text
+        return f"{text} [{value.low:.{column.digits}f}, {value.high:.{column.digits}f}]"
     if isinstance(value, float):
         return f"{value:.{column.digits}f}"
     return "" if value is None else str(value)
@@ -149,7 +149,8 @@ def table_csv(table: Table) -> str:
     head = []
     for column, is_estimate in zip(table.columns, estimates, strict=True):
         head += [f"{column.name} {part}" for part in ("mean", "low", "high", "n")] if is_estimate else [column.name]
-    return csv_text([head, *([cell for value in row for cell in _plain(value)] for row in table.rows)])
+    rows = [[cell for value in row for cell in _plain(value)] for row in table.rows]
+    return csv_text([head, *rows])
 
 
 def _plain(value: Value) -> list[object]:

@@ -81,14 +81,17 @@ def opened(
 
     Raises:
         InputError: if the ADS, the environment, the search method, a spec, the cluster or the run folder cannot be
-            used, or if the campaign has another revision.
+            used, if the campaign has another revision, or if its driver or other code has changed since it began.
     """
     begun = time.monotonic()
     check_revision(stored_config(folder).says if resume else config, str(folder))
     if not resume:
         check_free(folder)  # before the driver is loaded, which takes a while
-    own, identity = own_run(config, folder), identity_of(config)  # before the code that it names is run
-    recipe, specs = _recipe(config), load_specs(config.specs)
+    # both before any code that the configuration names is run
+    own = own_run(config, folder)
+    identity = identity_of(config)
+    recipe = _recipe(config)
+    specs = load_specs(config.specs)
     if workers and not cluster and driver is None:
         share_imports(recipe.preload)
     logical = fixed_logical_scenario(config.env)
@@ -105,7 +108,8 @@ def opened(
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
         check_identity(store, identity)
-        _complete(folder, logical, executor)
+        point_to_latest(folder)
+        _write_road(folder, logical, executor)
         judges = _judges(config, workers, logical)
         if judges is not None:
             stack.callback(judges.shutdown)
@@ -130,7 +134,8 @@ def _recipe(config: CampaignConfig) -> Recipe:
 
 def _judges(config: CampaignConfig, workers: int, logical: LogicalScenario) -> Judges | None:
     """Return the judges of a campaign; None for a short one, without workers, or if the user's own specs judge, too."""
-    is_long = (Budget.parse(config.budget).executions or LEAST_EXECUTIONS) >= LEAST_EXECUTIONS
+    executions = Budget.parse(config.budget).executions
+    is_long = executions is None or executions >= LEAST_EXECUTIONS
     if not (workers and is_long) or config.specs:
         return None
     nearness = getattr(load_method(config.method), "uses_nearness", False)
@@ -145,9 +150,8 @@ def _warnings_of_idle_workers(config: CampaignConfig, workers: int) -> list[str]
     return [f"With --batch {config.batch}, {idle}: a larger batch gives other records, faster"]
 
 
-def _complete(folder: Path, logical: LogicalScenario, executor: Executor) -> None:
-    """Point the link to the latest run at this folder, and write the road's shape if the folder lacks it."""
-    point_to_latest(folder)
+def _write_road(folder: Path, logical: LogicalScenario, executor: Executor) -> None:
+    """Write the shape of the road of a highway-env environment, if the folder lacks it."""
     if logical.has_original and not (folder / ROAD_FILE).is_file():
         write_durably(folder / ROAD_FILE, executor.submit(ROAD, b"").result().decode())
 
@@ -187,7 +191,7 @@ def load_analysis() -> None:
 
     The first campaign on a machine compiles that code here. Otherwise, its first execution would wait for it.
     """
-    k_means(np.eye(2), 1, ["random"], 0)
+    k_means(np.eye(2), 1, ["random"], 0)  # imports scikit-learn
     unpack_motion(np.zeros((1, 2, PASS_BY_FRAMES), dtype=np.uint8), PASS_BY_FRAMES, RESOLUTION)
     trace = pass_by()
     judge(trace)

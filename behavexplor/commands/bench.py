@@ -13,7 +13,7 @@ import tyro
 from behavexplor.bench.comparisons import curves, curves_csv, headline
 from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, read_experiment
 from behavexplor.bench.experiment_archive import ARCHIVE, Archive, read_archive, write_archive
-from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, forecast, run_state
+from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, run_state
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize
 from behavexplor.bench.table import Table, table_csv, table_markdown
 from behavexplor.bench.tables import tables
@@ -60,7 +60,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
         jobs: Number of campaigns at a time, each on one core; with --cluster, the number of nodes.
         cluster: Run the campaigns on a Ray cluster (docs/scale.md); without ADDRESS, on this machine.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load. May be repeated.
-        dry_run: Only show the number of campaigns and how long they will take.
+        dry_run: Only show the number of campaigns and of executions.
         tables_only: Only write the tables of the finished campaigns.
         unconfined: Allow drivers that are not shipped with behavexplor to write files and use the network.
         quiet: Show no progress.
@@ -77,7 +77,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     if dry_run:
         for run in runs:
             method_options(run.config)  # raises if they are invalid
-        say(_plan(chosen, runs, root, jobs))
+        say(_plan(chosen, runs, root))
         return OK
     code = OK
     if not tables_only:
@@ -110,7 +110,7 @@ def _checked_jobs(jobs: int | None, cluster: str) -> int:
     return jobs
 
 
-def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: int) -> str:
+def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path) -> str:
     """Describe the campaigns that would be run; `runs` are those that are not archived."""
     states = [run_state(run, root) for run in runs]
     planned = len(experiment.runs())
@@ -124,11 +124,9 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
             counted(experiment.seeds, "seed"),
         ]
     )
-    at_a_time = jobs or available_cores()  # the number of a cluster's nodes is not known here
-    seconds = forecast(experiment, runs, root, at_a_time)
     lines = [
         f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}",
-        f"{finished} finished; {counted(left, 'execution')} left, at least {clock(seconds)} with {at_a_time} at a time",
+        f"{finished} finished; {counted(left, 'execution')} left",
     ]
     return "\n".join(map(wrapped, lines))
 

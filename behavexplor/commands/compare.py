@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, TextIO
 
 import tyro
 
@@ -84,6 +84,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     count = chosen_workers(workers)
     output = check_outputs(json_file, junit)
     _check(scenarios, margin, junit, out, (first, second))
+    # both campaigns draw `scenarios` uniformly: the given method and budget are those of the search
     of_search = {name: given.get(name, default) for name, default in _SEARCH.items()}
     env = named_env(given.get("env"), first) or CampaignConfig.env
     config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})
@@ -97,7 +98,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         say(table(pairs, config.env, first, second), file=output)
         write_json(json_file, {"outcomes": values(pairs), "verdict": None if verdict is None else verdict._asdict()})
         _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
-        if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
+        if search and searched(searching, other, folder / SEARCH, count, output, quiet=quiet):
             _write(folder, pairs, [folder, folder / SEARCH])
     except (ExecutionError, RuntimeError) as error:
         say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
@@ -161,7 +162,9 @@ def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool, r
         tell(f"Warning: {config.ads}: {warning}")
 
 
-def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> bool:
+def searched(
+    config: CampaignConfig, other: CampaignConfig, folder: Path, workers: int, output: TextIO, *, quiet: bool
+) -> bool:
     """Search for differences, drive those that were found again, and return whether there are any."""
     executed = 0
     with Meter(sys.stderr, int(config.budget), "scenarios with both", quiet=quiet) as meter:
@@ -173,7 +176,8 @@ def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, worker
 
         found = pair_campaigns.differences(config, other, folder, max(1, workers // 2) if workers else 0, observe)
     early = "" if executed == int(config.budget) else f"; it ended before its budget of {config.budget} was used up"
-    say(f"\nSearch with {config.method}: {len(found)} of {executed} scenarios in which only one driver fails{early}")
+    said = f"\nSearch with {config.method}: {len(found)} of {executed} scenarios in which only one driver fails{early}"
+    say(said, file=output)
     if not found:
         return False
     options: dict[str, Any] = {"file": str((folder / pair_campaigns.DIFFERENCES).resolve())}
@@ -182,25 +186,27 @@ def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, worker
         _drive(again, folder / name, workers, quiet=True)
     fault = next(row for row in pair_campaigns.compared(folder) if row.outcome == AT_FAULT)
     for name, numbers in ((config.ads, fault.only_first), (other.ads, fault.only_second)):
-        say(f"  only {name} fails in {len(numbers)}" + (f": executions {_listed(numbers)}" if numbers else ""))
+        listed = f": executions {_listed(numbers)}" if numbers else ""
+        say(f"  only {name} fails in {len(numbers)}{listed}", file=output)
     return True
 
 
 def table(pairs: Sequence[Pairs], env: str, first: str, second: str) -> str:
     """Return the paired statistics as two tables, counts and changes, with numbers of executions to look at."""
-    change = COLUMNS.index(CHANGE)
+    change_index = COLUMNS.index(CHANGE)
     counts = [name for name in COLUMNS if name != CHANGE]
-    made, changes = grid(*counts, numbers=counts[1:]), grid("", CHANGE, numbers=[CHANGE])
+    count_table = grid(*counts, numbers=counts[1:])
+    change_table = grid("", CHANGE, numbers=[CHANGE])
     for cells in rows(pairs):
-        made.add_row(*(cell for i, cell in enumerate(cells) if i != change))
-        changes.add_row(cells[0], cells[change])
+        count_table.add_row(*(cell for i, cell in enumerate(cells) if i != change_index))
+        change_table.add_row(cells[0], cells[change_index])
     fault = next(row for row in pairs if row.outcome == AT_FAULT)
     lines = [
         wrapped(f"{fault.n} scenarios of {env}, the same for both; A is {first}, B is {second}:"),
-        plain_text(made),
+        plain_text(count_table),
         wrapped(LEGEND),
         "",
-        plain_text(changes),
+        plain_text(change_table),
     ]
     for name, numbers in (("Fixed", fault.only_first), ("Broken", fault.only_second)):
         lines += [wrapped(f"{name} failures at fault: executions {_listed(numbers)}")] if numbers else []

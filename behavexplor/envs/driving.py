@@ -140,8 +140,9 @@ class DrivingEnv(PlainSimulation):
         self.metadata = {"render_modes": list(RENDER_MODES)}
         if render_mode not in (None, *RENDER_MODES):
             raise InputError(f"render_mode: expected None, {' or '.join(RENDER_MODES)}, got {render_mode!r:.80}")
-        super().__init__(config, render_mode)  # which resets the environment without a seed
-        self._has_begun, self._is_made = False, True
+        super().__init__(config, render_mode)
+        self._has_begun = False  # highway-env's constructor has reset the environment without a seed
+        self._is_made = True
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "viewer": None}  # a window cannot be pickled
@@ -159,7 +160,8 @@ class DrivingEnv(PlainSimulation):
         if "observation" not in changes and self.config["observation"] == default_observation(self.logical):
             changed["observation"] = default_observation(logical)
         self.config, self.logical = changed, logical
-        self._has_new_config, self._has_begun, self._slot, self._guard = True, False, None, None
+        self._has_new_config, self._has_begun = True, False
+        self._slot = self._guard = None  # made for the former configuration
         super().configure({})
 
     def define_spaces(self) -> None:
@@ -215,7 +217,7 @@ class DrivingEnv(PlainSimulation):
             self._is_shown = False
             self._slot.begin(self.scenario)
             return
-        self._slot, self._is_shown = None, False  # vehicles that are shown already have the state of the last episode
+        self._slot, self._is_shown = None, False  # `_unsupported` may have shown vehicles of the last episode
         _report_plain_simulation(type(self), unsupported)
         self._show()
 
@@ -325,7 +327,7 @@ class DrivingEnv(PlainSimulation):
         return self._terms
 
     def _reward(self, action: Any) -> float:
-        return reduce(add, self._rewards(action).values())  # `sum` makes up for rounding since Python 3.12
+        return reduce(add, self._rewards(action).values())  # not `sum`, which compensates rounding since Python 3.12
 
     def _is_terminated(self) -> bool:
         return self._end in TERMINAL

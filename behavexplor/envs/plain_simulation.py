@@ -154,7 +154,10 @@ def _line_columns(lines: Floats) -> Floats:
 
 
 class PlainSimulation(AbstractEnv):  # type: ignore[misc]
-    """Base of `DrivingEnv`, which plays back scenarios on highway-env's own objects by it, or only shows them there."""
+    """The base of `DrivingEnv`: it plays back scenarios on highway-env's own objects.
+
+    If the engine simulates, these objects only show the episode.
+    """
 
     logical: ScriptedLogicalScenario
     config: dict[str, Any]

@@ -1,4 +1,4 @@
-"""Functions that start executors: for one target or for any service, in this process, in workers or on a cluster.
+"""The start of executors: for one target or for any service, in this process, in workers or on a cluster.
 
 Also what is asked of an executor before a campaign: its logical scenario, and checks of the ADS.
 """
@@ -28,12 +28,16 @@ from behavexplor.execution.simulation import logical_scenario
 def start_executor(
     target: Target, workers: int, cluster: str = "", recipe: Recipe | None = None, driver: ADS | None = None
 ) -> Executor:
-    """Start the executor for the scenarios of a target: for the service of a recipe, by default an `Evaluator`.
+    """Start the executor for the scenarios of a target.
 
-    `workers` is the greatest number of worker processes, or the number of nodes of a cluster. 0 means this process,
-    without limits of time and memory, or on a cluster one node for each core. For the name of a cluster, see
-    `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine. A `driver` that exists in this process
-    only, named by `target.ads`, drives here: `workers` and `cluster` are then ignored.
+    Args:
+        target: the target.
+        workers: greatest number of worker processes, or number of nodes of a cluster. 0 means this process, without
+            limits of time and memory, or on a cluster one node for each core.
+        cluster: name of a cluster, see `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
+        recipe: recipe of the service; by default that of an `Evaluator` for the target.
+        driver: a driver that exists in this process only, named by `target.ads`, and drives here: `workers` and
+            `cluster` are then ignored.
 
     Raises:
         InputError: if the environment, the ADS or the cluster cannot be used, or if an ADS that must be confined
@@ -57,7 +61,7 @@ def start_executor(
 
 
 def _start_here(recipe: Recipe, driver: ADS | None = None) -> Executor:
-    """Start the executor of a service in this process, of an `Evaluator` if there is a driver."""
+    """Start the executor of a service in this process. With a `driver`, it is an `Evaluator`, which gets it."""
     service: Any = recipe.make()
     if driver is not None:
         service.driver = driver
@@ -114,7 +118,10 @@ def check_ads(executor: Executor, meanwhile: Callable[[], None] = lambda: None) 
 
 
 class InProcessExecutor(Executor):
-    """Calls the functions of a service that has begun in this process, the `batched` one in batches; see `Recipe`."""
+    """Calls the functions of a service in this process, the `batched` one in batches, see `Recipe`.
+
+    The service has begun.
+    """
 
     runs_here = True
 

@@ -40,8 +40,8 @@ def degree_change(parent_degree: float, degree: float, distance: float, *, bound
     """Compute dE_V of a mutant and its parent (paper equation 16).
 
     `parent_degree` and `degree` are O_s and O_s' [m]; `distance` is dis(s', s), in [0, 1]; `gamma` prevents division by
-    zero. Unless `bounded` by tanh, a single mutant at distance 1 changes the energy by 1e5 per meter, and the selection
-    never recovers from it.
+    zero. Unless `bounded` by tanh, a single mutant at distance 1 changes it by 1e5 per meter with the default gamma,
+    and the selection never recovers from it.
     """
     change = (parent_degree - degree) / (1 - distance + gamma)
     return math.tanh(change) if bounded else change
@@ -159,7 +159,7 @@ class Assessment:
 
 
 def assess(trace: Trace, verdict: Verdict, line_kinds: Sequence[str], options: AssessmentOptions) -> Assessment:
-    """Assess an execution whose illegal lines are of these kinds (`CURB`, `DOUBLE_YELLOW`)."""
+    """Assess an execution. `line_kinds` has the kind of each illegal line of the trace, `CURB` or `DOUBLE_YELLOW`."""
     seen = _until_retreat(trace, options)
     degree = verdict.degree if options.degree == "sum" else _clipped_degree(seen, line_kinds, options)
     failed = verdict.failed
@@ -220,17 +220,19 @@ class BehAVExplorOptions:
     # source of novelty. "measured" is the novelty of a mutant's behavior. "random" is a control in which novelty and
     # distance are drawn from [0, 1]. "none" is the paper's w/o BG.
     novelty: Literal["measured", "random", "none"] = "measured"
-    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # theta_c: farther from all of Y is novel
+    # theta_c: a behavior is novel if it is farther than this from all known ones
+    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD
     # Y, the testcases whose behaviors are known: all that were "kept", or only initial and "novel" ones
     known: Literal["kept", "novel"] = "kept"
     selection: Literal["energy", "uniform"] = "energy"  # how a testcase is drawn; "uniform" is the paper's w/o Energy
     mutation: Literal["energy", "random"] = "energy"  # how its mutation is chosen; "random" is the paper's w/o Energy
     waypoint_share: Annotated[float, between(0, 1)] = 0.5  # probability of waypoint mutation, if chosen at random
-    waypoint_energy: float = 0.5  # theta_e: testcases with more get a waypoint mutation, others a route mutation
+    waypoint_energy: float = 0.5  # theta_e: testcases with more energy get a waypoint mutation, others a route mutation
     # epsilon of waypoint mutation, the probability that an NPC stays unchanged
     waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
     route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon of route mutation
-    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0  # for a changed NPC's waypoint
+    # probability that a waypoint of a changed NPC stays unchanged
+    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
     sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0  # standard deviation of waypoint mutation [m/s]
     # in highway-env environments, the standard deviation of the small mutation of a draw, as a share of the draw's

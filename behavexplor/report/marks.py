@@ -29,7 +29,7 @@ _ENDED_BY: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 Color = tuple[int, int, int]
-_VARIABLE = re.compile(r"--(\w+): (?:light-dark\()?#([0-9a-f]{6})")
+_VARIABLE = re.compile(r"--(\w+): (?:light-dark\()?#([0-9a-f]{6})")  # of page.css, and its color on light pages
 
 
 def violation_place(trace: Trace, event: ViolationEvent) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -127,7 +128,7 @@ def test_a_search_that_ends_early_says_how_many_scenarios_it_drove(tmp_path, mon
 
     monkeypatch.setattr("behavexplor.commands.compare.pair_campaigns.differences", differences)
     config = CampaignConfig(method="random", budget="12")
-    assert not searched(config, config, tmp_path, 0, quiet=True)
+    assert not searched(config, config, tmp_path, 0, sys.stdout, quiet=True)
     assert "0 of 7 scenarios in which only one driver fails; it ended before" in capsys.readouterr().out
 
 
@@ -210,3 +211,12 @@ def test_a_comparison_ends_when_its_margin_is_decided(tmp_path, capsys):
     assert verdict["after"] < 250
     assert {len(records(folder / name)) for name in ("first", "second")} == {250}
     assert "Non-inferior" in capsys.readouterr().out
+
+
+def test_the_standard_output_has_nothing_but_the_json_file_that_is_asked_for_there(tmp_path, capsys):
+    run = ["compare", SWERVER, CRUISER, "--env", "S1", "--workers", "0", "--unconfined", "--quiet", "--scenarios", "3"]
+    search = ["--search", "--budget", "12", "--method", "random"]
+    assert main([*run, *search, "--json", "-", "--out", str(tmp_path / "out")]) == OK
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["outcomes"]
+    assert "Search with random: " in printed.err

@@ -34,7 +34,9 @@ _PRECISION = 1e-9  # numpy and the C library may differ in the last bit
 
 
 def load_state(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
-    """Copy the present state of an environment, without wrappers and with the road and rules of `world`, into slot b.
+    """Copy the present state of an environment into slot b.
+
+    The environment has no wrappers, and has the road and rules of `world`.
 
     Raises:
         InputError: if the environment has vehicles that the engine does not know or too many for the slot, a vehicle

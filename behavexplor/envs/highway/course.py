@@ -16,7 +16,7 @@ from behavexplor.errors import InputError
 
 LaneIndex: TypeAlias = tuple[str, str, int | None]
 
-_STEP: Final = 2.0  # distance of points along a route or a lane's side where it is not straight, at most [m]
+_STEP: Final = 2.0  # about the distance of points along a route or a lane's side where it is not straight [m]
 _SAME: Final = 1e-6  # points nearer to each other are one [m]
 _MARKINGS: Final = {
     LineType.NONE: NO_LINE,
