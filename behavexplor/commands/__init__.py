@@ -150,7 +150,7 @@ def _failed(error: Exception) -> int:
     """Report an error and return the exit code. Wrong input, including bad file names and rights, gets one sentence."""
     if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
         say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
-        return BAD_INPUT
+        return EXECUTION_FAILED if getattr(error, "errno", None) in _OUTPUT_ERRORS else BAD_INPUT
     if isinstance(error, OSError) and error.errno in _OUTPUT_ERRORS:
         _drop_output()
         say(f"{program()}: The output cannot be written: {error.strerror}", file=sys.stderr)

@@ -71,11 +71,11 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
     write_saved(Path("weights.pt"), partial(torch.save, torch.zeros(10_000)))
 except OSError as error:
-    print(error.strerror)
+    print(error.strerror, error.filename)
 """
     command = [sys.executable, "-c", code]
     said = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True, timeout=120).stdout
-    assert said == "File too large\n"
+    assert said == "File too large weights.pt\n"
     assert not list(tmp_path.iterdir())
     write_saved(tmp_path / "weights.pt", lambda file: file.write(b"numbers"))
     assert (tmp_path / "weights.pt").read_bytes() == b"numbers"
