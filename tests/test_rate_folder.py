@@ -34,7 +34,7 @@ def evaluated(folder, n, workers=0, goal=None):
 
 def test_a_folder_with_files_of_the_users_own_is_left_as_it_is(tmp_path):
     (tmp_path / "card.md").write_text("mine")
-    with pytest.raises(InputError, match="is not empty"):
+    with pytest.raises(InputError, match="is not empty, and holds no evaluation"):
         RateFolder(tmp_path, CONFIG)
     assert [path.name for path in tmp_path.iterdir()] == ["card.md"]
 

@@ -17,11 +17,12 @@ from behavexplor.campaign.folder_format import CONFIG
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import identity_of
-from behavexplor.campaign.store import Store, check_free
+from behavexplor.campaign.store import Store
 from behavexplor.data.durable import make_folder, new_file, write_durably, writing
 from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import OF_EPISODES
 from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError
 from behavexplor.evaluation import Evaluation, Observe, failing
 from behavexplor.fuzz.methods import GIVEN
 from behavexplor.judge.fault import is_at_fault, touched_npc
@@ -52,10 +53,11 @@ class RateFolder:
     """
 
     def __init__(self, path: Path, config: CampaignConfig) -> None:
-        if not (path / OUTCOMES).is_file():
-            check_free(path)  # files of the user's own would be replaced
         with writing(f"The folder {path}"):
             self.path = make_folder(path)
+            has_other_files = any(path.iterdir()) and not (path / OUTCOMES).is_file()
+        if has_other_files:  # some of them would be replaced
+            raise InputError(f"{path} is not empty, and holds no evaluation that could go on: choose another folder")
         identity = identity_of(config)
         self._config = config
         self._driver = {"digests": dict(identity.digests), "libraries": dict(identity.libraries)}

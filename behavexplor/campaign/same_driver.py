@@ -1,4 +1,4 @@
-"""Whether a run's driver and other code are those with which it began, and the configuration to execute it with."""
+"""Checks that a run's driver and other code have not changed since it began, and returns its configuration."""
 
 import hashlib
 import warnings
@@ -59,7 +59,7 @@ def check_identity(store: Store, now: Identity) -> None:
     if begun is None:
         store.add_note(NOTE, now.to_json())
     elif changed := changes(begun.digests, now.digests):
-        raise _changed(store.folder, changed)
+        raise _cannot_go_on(store.folder, changed)
 
 
 def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on: bool = False) -> AcceptedConfig:
@@ -83,7 +83,7 @@ def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on:
     config = replace(config, ads=_name_from_here(config, begun))
     changed = changes(begun.digests, identity_of(config).digests)
     if changed and goes_on:
-        raise _changed(run, changed)
+        raise _cannot_go_on(run, changed)
     if changed:
         warnings.warn(f"The driver or other code is not that with which {run} began: {changed}", stacklevel=3)
     return config
@@ -111,11 +111,11 @@ def _refused(refusal: InputError, run: Path, config: CampaignConfig, *, goes_on:
     if not changed:
         return refusal
     if goes_on:
-        return _changed(run, changed)
+        return _cannot_go_on(run, changed)
     return InputError(f"{refusal}. Changed since the run began: {changed}")
 
 
-def _changed(run: Path, changed: str) -> InputError:
+def _cannot_go_on(run: Path, changed: str) -> InputError:
     return InputError(
         f"{run} cannot be continued, because the driver or other code of its campaign has changed: {changed}. Put "
         f"it back, or start a new run"

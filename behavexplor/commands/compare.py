@@ -43,7 +43,7 @@ _SETTINGS = settings(
     box="campaign",
     env=Shown(f"that of A, or {CampaignConfig.env}"),
     method=Shown(_SEARCH["method"], " Used with --search."),
-    budget=Shown(_SEARCH["budget"], " Used with --search; there, not a time."),
+    budget=Shown(_SEARCH["budget"], " Used with --search, as a number of executions."),
 )
 
 

@@ -36,7 +36,7 @@ def write_durably(path: Path, content: str | bytes) -> None:
 
 
 def write_saved(path: Path, save: Callable[[BytesIO], object]) -> None:
-    """Write durably what `save` writes into a file in memory: torch hides errors of the disk. See `write_durably`."""
+    """Write what `save` writes to a file in memory, since torch hides errors of the disk; see `write_durably`."""
     saved = BytesIO()
     save(saved)
     write_durably(path, saved.getvalue())

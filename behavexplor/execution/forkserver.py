@@ -35,11 +35,11 @@ def share_imports(modules: Sequence[str]) -> None:
 
 @contextmanager
 def clean_start() -> Iterator[None]:
-    """Return a context in which processes start that run neither the user's script again nor files of a foreign folder.
+    """Return a context in which processes start that do not run the user's script, nor modules of the working folder.
 
     `multiprocessing` imports the script in each new process, because what the process gets may come from there. What a
-    worker gets never does, and a script without `if __name__ == "__main__":` would train its policy again. Besides, a
-    new process looks for modules in the working folder first, where a random.py would take the place of a library.
+    worker gets never does, and a script without `if __name__ == "__main__":` would train its policy again. A new
+    process also looks for modules in the working folder first, where a random.py would take the place of a library.
     """
     script, safe = sys.modules[_MAIN], os.environ.get(_SAFE_PATH)
     sys.modules[_MAIN], os.environ[_SAFE_PATH] = ModuleType(_MAIN), "1"

@@ -146,7 +146,7 @@ def check_numbers(scenarios: int, margin: float | None) -> None:
 
 
 def check_margin(margin: float | None) -> None:
-    """Raise an `InputError` if the margin of a comparison cannot be used; None is none."""
+    """Raise an `InputError` if the margin of a comparison cannot be used. None stands for no margin."""
     if margin is not None and not 0.0 < margin < 1.0:
         raise InputError(f"The margin {margin} must lie between 0 and 1, such as 0.01 for one point")
 

@@ -165,15 +165,6 @@ def test_a_dry_run_says_how_much_is_left_and_makes_nothing(whole, tmp_path, caps
     assert "4 finished; 0 executions left" in capsys.readouterr().out
 
 
-def test_a_dry_run_draws_its_scenarios_as_the_campaigns_do(tmp_path, capsys):
-    policy = ROOT / "docs" / "data" / "policies" / "highway-fast.zip"
-    lines = (f"ads: [{policy}]", "envs: [highway-fast-v0]", "methods: {Uniform: {method: uniform}}", "traffic: wide")
-    path = tmp_path / "wide.yaml"
-    path.write_text("\n".join([*lines, "seeds: 1", "budget: 10"]))
-    assert main(["bench", str(path), "--dry-run", "--out", str(tmp_path / "new")]) == 0
-    assert "0 finished; 10 executions left" in capsys.readouterr().out
-
-
 def stored(root):
     """How many executions are on disk."""
     count = 0

@@ -1,5 +1,6 @@
 """The commands as a user runs them: what they print, their exit codes, and what is left after an interruption."""
 
+import errno
 import io
 import json
 import os
@@ -17,10 +18,13 @@ import pytest
 from PIL import Image
 
 from behavexplor import commands
+from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, OK, main
+from behavexplor.commands.evaluate import _gap
 from behavexplor.errors import InputError
+from behavexplor.evaluation import Evaluation
 from behavexplor.fuzz.uniform import Uniform
 from behavexplor.report import drawing
 from tests.campaign.test_store import stored_run
@@ -514,6 +518,46 @@ def test_an_execution_without_an_avoidance_says_why(finished):
     passed = next(record["id"] for record in records(folder) if not record["violated"])
     assert "has not been examined yet" in run("replay", folder, hit, "--avoided").stderr
     assert "has no collision that could be avoided" in run("replay", folder, passed, "--avoided").stderr
+
+
+def test_a_full_disk_is_no_bad_input_and_its_file_is_named(monkeypatch, capsys):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device", "model.pt")
+
+    monkeypatch.setattr("behavexplor.commands.status.summarize", full)
+    assert main(["status", "run"]) == EXECUTION_FAILED
+    assert "No space left on device: 'model.pt'" in capsys.readouterr().err
+
+
+def test_a_replay_whose_worker_cannot_begin_is_said_in_a_sentence(finished, tmp_path, monkeypatch, capsys):
+    def fail(*_):
+        raise RuntimeError("no worker could be started")
+
+    monkeypatch.setattr("behavexplor.commands.replay.start_executor", fail)
+    assert main(["replay", str(finished[0]), "0", "--out", str(tmp_path)]) == EXECUTION_FAILED
+    assert ": The execution could not be repeated: no worker could be started" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (ExecutionError("The campaign can no longer write to disk"), ": The campaign can no longer write to disk"),
+        (RuntimeError("a worker ended"), ": A scenario could not be executed: a worker ended"),
+    ],
+)
+def test_an_evaluation_says_what_has_failed(error, said, monkeypatch, capsys):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr("behavexplor.commands.evaluate._evaluations", fail)
+    assert main(["evaluate", "--env", "lane-follow", "--ads", "constant"]) == EXECUTION_FAILED
+    assert said in capsys.readouterr().err
+
+
+def test_rates_that_differ_are_named_as_the_table_shows_them(capsys):
+    """A missed destination is the reverse of an arrival, which has the row."""
+    always, never = (Evaluation(1000, {"arrived": n, "collision": 0, "destination": 1000 - n}) for n in (1000, 0))
+    assert "(Fisher's exact test, 1 %): arrived. " in _gap(always, never)
 
 
 def test_output_that_cannot_be_written_is_said_in_a_sentence(tmp_path):
