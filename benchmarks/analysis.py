@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from behavexplor.behavior.features import state_matrix
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import CampaignConfig
@@ -41,7 +42,7 @@ def analysis_rows(env: str, method: str, sizes: tuple[int, ...]) -> list[Row]:
         start = time.process_time()
         candidate = search.ask()
         verdict = judge(trace, SPECS)
-        archive.observe(trace)
+        archive.observe(state_matrix(trace))
         search.tell(candidate, trace, verdict)
         used += time.process_time() - start
         if number in sizes:

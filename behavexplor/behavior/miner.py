@@ -5,14 +5,9 @@ from the centers of the last one, uses a bounded sample of merged states, and ha
 """
 
 import math
-import os
-import tempfile
-import weakref
-from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
-from typing import IO, Annotated, Any, Final, Literal
+from functools import cache, cached_property
+from typing import Annotated, Any, Final, Literal
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -20,7 +15,6 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from behavexplor.behavior.features import (
-    ATTRIBUTES,
     N_FEATURES,
     NEGLIGIBLE,
     Clusters,
@@ -38,7 +32,6 @@ from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place
 
 MAX_CLUSTERS: Final = 256
-MAX_IN_MEMORY: Final = 16 * 2**20  # greatest size of states in memory [bytes]: about 1700 behaviors of 30 s
 Scaling = Literal["zscore", "none"]
 
 
@@ -64,15 +57,7 @@ class AbstractTraces:
 
     def __setitem__(self, index: int, labels: Labels) -> None:
         """Replace the labels of an abstract trace. Its length cannot change."""
-        self._labels[self._place(index)] = labels
-
-    def __getitem__(self, index: int) -> Labels:
-        return self._labels[self._place(index)]
-
-    def _place(self, index: int) -> slice:
-        if not 0 <= index < self._count:
-            raise IndexError(index)
-        return slice(self._starts[index], self._starts[index + 1])
+        self._labels[self._starts[index] : self._starts[index + 1]] = labels
 
     def distances(self, labels: Labels) -> Floats:
         """Compute the distance of an abstract trace, shape (length,), from each of these; shape (len(self),).
@@ -183,11 +168,6 @@ class Behavior:
         return merged_states(self.states, self.window, self.tail)
 
 
-@lru_cache(maxsize=2)  # a search method and the novelty archive describe the same trace one after the other
-def _describe(trace: Trace, heading_frame: HeadingFrame, window: int, tail: Tail) -> Behavior:
-    return Behavior(state_matrix(trace, heading_frame), window, tail)
-
-
 class BehaviorMiner:
     """The known behaviors with the clusters of their states, to compute the distance of new behaviors.
 
@@ -196,7 +176,7 @@ class BehaviorMiner:
 
     def __init__(self, options: MinerOptions) -> None:
         self.options = options
-        self._states = StateFile()
+        self._states: list[Singles] = []  # of each behavior
         self._traces = AbstractTraces()
         self._sample = _Sample(options.sample_size, np.random.default_rng(options.random_state))
         self._clusters = clusters_of(np.zeros((1, N_FEATURES)), np.zeros(N_FEATURES), np.ones(N_FEATURES))
@@ -208,7 +188,11 @@ class BehaviorMiner:
 
     def describe(self, trace: Trace) -> Behavior:
         """Compute the ego's behavior in a trace."""
-        return _describe(trace, self.options.heading_frame, self.options.window, self.options.tail)
+        return self.behavior(state_matrix(trace, self.options.heading_frame))
+
+    def behavior(self, states: Singles) -> Behavior:
+        """Return the behavior of these states, shape (N', 8)."""
+        return Behavior(states, self.options.window, self.options.tail)
 
     def abstract(self, behavior: Behavior) -> Labels:
         """Compute an abstract trace, the paper's H-hat: the nearest cluster of each merged state, shape (windows,)."""
@@ -221,11 +205,7 @@ class BehaviorMiner:
         return self._traces.distances(labels)
 
     def add(self, behavior: Behavior) -> int:
-        """Add a behavior to the known ones, and return its index.
-
-        Raises:
-            OSError: if there are many behaviors, and their states cannot be written to a temporary file.
-        """
+        """Add a behavior to the known ones, and return its index."""
         self._states.append(behavior.states)
         self._sample.extend(behavior.merged)
         self._traces.append(self.abstract(behavior))
@@ -319,44 +299,3 @@ def standardize(sample: Singles, least: Floats, mean: Floats, scale: Floats, row
     for i in range(count):
         for j in range(width):
             rows[i, j] = (sample[i, j] - mean[j]) / scale[j]
-
-
-class StateFile:
-    """The states of behaviors in the order of their addition. Iteration yields them one by one.
-
-    They are in memory up to `MAX_IN_MEMORY` bytes, and beyond in a file of the temporary folder. The file has no name
-    where the system permits, so that it never outlives the process.
-    """
-
-    def __init__(self, in_memory: int = MAX_IN_MEMORY) -> None:
-        self._lengths: list[int] = []
-        self._file: IO[bytes] = tempfile.SpooledTemporaryFile(in_memory)  # noqa: SIM115 - closed with this object
-        weakref.finalize(self, _close, self._file)
-
-    def __len__(self) -> int:
-        return len(self._lengths)
-
-    def append(self, states: Singles) -> None:
-        """Add the states of a behavior, shape (N', 8).
-
-        Raises:
-            OSError: if the file cannot be written, for example because the disk is full; it names the folder.
-        """
-        try:
-            self._file.seek(0, os.SEEK_END)
-            self._file.write(states.tobytes())
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, tempfile.gettempdir()) from error
-        self._lengths.append(len(states))
-
-    def __iter__(self) -> Iterator[Singles]:
-        width = len(ATTRIBUTES)
-        self._file.seek(0)
-        for length in self._lengths:
-            data = self._file.read(length * width * np.dtype(np.float32).itemsize)
-            yield np.frombuffer(data, dtype=np.float32).reshape(length, width)
-
-
-def _close(file: IO[bytes]) -> None:
-    with suppress(OSError):  # what could not be written is not needed any more
-        file.close()

@@ -1,25 +1,11 @@
 """NoveltyArchive: the distinct behaviors of a campaign, by which all search methods are scored alike."""
 
-from dataclasses import field
-from typing import Annotated, Final
+from typing import Final
 
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
-from behavexplor.data.trace import Trace
-from behavexplor.data.validation import between, validated
+from behavexplor.data.array_types import Singles
 
 NOVELTY_THRESHOLD: Final = 0.4  # a behavior is distinct if it is farther than this from all others; the paper's theta_c
-
-
-@validated
-class NoveltyOptions:
-    """Options that define distinct behaviors.
-
-    Raises:
-        InputError: if the threshold is not in [0, 1].
-    """
-
-    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD  # distinct behaviors are farther apart than this
-    miner: MinerOptions = field(default_factory=MinerOptions)
 
 
 class NoveltyArchive:
@@ -29,22 +15,22 @@ class NoveltyArchive:
     number of distinct behaviors.
     """
 
-    def __init__(self, options: NoveltyOptions | None = None) -> None:
-        self.options = options = options or NoveltyOptions()
-        self._miner = BehaviorMiner(options.miner)
+    def __init__(self, options: MinerOptions | None = None) -> None:
+        self._miner = BehaviorMiner(options or MinerOptions())
 
     def __len__(self) -> int:
         return len(self._miner)
 
-    def observe(self, trace: Trace) -> float:
-        """Return the novelty of a trace, and add its behavior to the archive if it is distinct.
+    def observe(self, states: Singles) -> float:
+        """Return the novelty of a behavior, and add it to the archive if it is distinct.
 
-        The novelty is the least distance from the distinct behaviors so far, or 1 if there are none.
+        The novelty is the least distance from the distinct behaviors so far, or 1 if there are none. The states have
+        the shape (N', 8), see `behavexplor.behavior.features.state_matrix`.
         """
-        behavior = self._miner.describe(trace)
+        behavior = self._miner.behavior(states)
         distances = self._miner.distances(self._miner.abstract(behavior))
         novelty = float(distances.min(initial=1.0))
-        if novelty > self.options.threshold or not len(self):
+        if novelty > NOVELTY_THRESHOLD or not len(self):
             self._miner.add(behavior)
             if self._miner.due:
                 self._miner.fit()
