@@ -87,12 +87,11 @@ def find_distances(labels: Bytes, starts: Ints, query: Bytes, distances: Floats)
     and the last one ends. `query` has the shape (length,). `distances`, shape (n,), is changed in place.
     """
     for i in range(len(distances)):
-        first = starts[i]
+        known = labels[starts[i] : starts[i + 1]]  # its indices need no sign, so that the loop can be vectorized
         count = np.int32(0)  # 32 bits: the processor adds up more of them at once than of longer numbers
-        length = starts[i + 1] - first
-        for k in range(min(length, len(query))):
-            count += np.int32(labels[first + k] != query[k])
-        distances[i] = (count + abs(length - len(query))) / max(length, len(query), 1)
+        for k in range(min(len(known), len(query))):
+            count += np.int32(known[k] != query[k])
+        distances[i] = (count + abs(len(known) - len(query))) / max(len(known), len(query), 1)
 
 
 def clusters_of(centers: Floats, mean: Floats, scale: Floats) -> Clusters:
