@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from behavexplor.behavior.features import state_matrix
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import CampaignConfig
@@ -42,7 +41,7 @@ def analysis_rows(env: str, method: str, sizes: tuple[int, ...]) -> list[Row]:
         start = time.process_time()
         candidate = search.ask()
         verdict = judge(trace, SPECS)
-        archive.observe(state_matrix(trace))
+        archive.observe(trace)
         search.tell(candidate, trace, verdict)
         used += time.process_time() - start
         if number in sizes:

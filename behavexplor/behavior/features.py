@@ -5,7 +5,6 @@ so that the processor can treat several of them at once. In each window, all sum
 """
 
 import math
-from functools import lru_cache
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -56,7 +55,6 @@ def known_states(heading_frame: HeadingFrame, states: NDArray[np.float32]) -> di
     return {f"_{heading_frame}_states": states}
 
 
-@lru_cache(maxsize=2)  # a campaign and its search method ask for the states of a trace one after the other
 def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray[np.float32]:
     """Compute the ego's states on a grid of `TIME_STEP`, the paper's X-bar; a read-only matrix, shape (N', 8).
 

@@ -6,7 +6,7 @@ from the centers of the last one, uses a bounded sample of merged states, and ha
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Annotated, Any, Final, Literal
 from warnings import catch_warnings, simplefilter
 
@@ -167,6 +167,11 @@ class Behavior:
         return merged_states(self.states, self.window, self.tail)
 
 
+@lru_cache(maxsize=2)  # a search method and the novelty archive describe the same trace one after the other
+def _describe(trace: Trace, heading_frame: HeadingFrame, window: int, tail: Tail) -> Behavior:
+    return Behavior(state_matrix(trace, heading_frame), window, tail)
+
+
 class BehaviorMiner:
     """The known behaviors with the clusters of their states, to compute the distance of new behaviors.
 
@@ -187,11 +192,7 @@ class BehaviorMiner:
 
     def describe(self, trace: Trace) -> Behavior:
         """Compute the ego's behavior in a trace."""
-        return self.behavior(state_matrix(trace, self.options.heading_frame))
-
-    def behavior(self, states: Singles) -> Behavior:
-        """Return the behavior of these states, shape (N', 8)."""
-        return Behavior(states, self.options.window, self.options.tail)
+        return _describe(trace, self.options.heading_frame, self.options.window, self.options.tail)
 
     def abstract(self, behavior: Behavior) -> Labels:
         """Compute an abstract trace, the paper's H-hat: the nearest cluster of each merged state, shape (windows,)."""

@@ -3,7 +3,7 @@
 from typing import Final
 
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
-from behavexplor.data.array_types import Singles
+from behavexplor.data.trace import Trace
 
 NOVELTY_THRESHOLD: Final = 0.4  # a behavior is distinct if it is farther than this from all others; the paper's theta_c
 
@@ -21,13 +21,12 @@ class NoveltyArchive:
     def __len__(self) -> int:
         return len(self._miner)
 
-    def observe(self, states: Singles) -> float:
-        """Return the novelty of a behavior, and add it to the archive if it is distinct.
+    def observe(self, trace: Trace) -> float:
+        """Return the novelty of a trace, and add its behavior to the archive if it is distinct.
 
-        The novelty is the least distance from the distinct behaviors so far, or 1 if there are none. The states have
-        the shape (N', 8), see `behavexplor.behavior.features.state_matrix`.
+        The novelty is the least distance from the distinct behaviors so far, or 1 if there are none.
         """
-        behavior = self._miner.behavior(states)
+        behavior = self._miner.describe(trace)
         distances = self._miner.distances(self._miner.abstract(behavior))
         novelty = float(distances.min(initial=1.0))
         if novelty > NOVELTY_THRESHOLD or not len(self):

@@ -11,15 +11,14 @@ import json
 import sqlite3
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
-from behavexplor.behavior.features import state_matrix
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD, NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.confirmation import unconfirmed
@@ -30,7 +29,6 @@ from behavexplor.campaign.record import ERROR, Record, WrittenValues, encode_jso
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.campaign.uniform_rate import MOST, SHARE, UniformRate
 from behavexplor.data.scenario import LogicalScenario
-from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
@@ -45,7 +43,6 @@ _UNIFORM: Final = 0x75_6E_69_66  # separates the scenarios that no search has ch
 _MOST_EARLY: Final = 1024  # candidates in flight, so that one of a long episode does not fill the memory with others
 TOGETHER: Final = 16  # candidates that are asked for early at a time, and answers that are sent together
 COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
-_PATIENCE: Final = 0.05  # longest time that a commit waits for the comparison of behaviors [s]
 
 
 class ExecutionError(Exception):
@@ -76,20 +73,10 @@ class _Pending:
         return isinstance(self.result, Execution) or self.result.done()
 
 
-class _Told(NamedTuple):
-    """An execution that the method has been told. It is stored once its novelty is known."""
-
-    pending: _Pending
-    judged: Judgment
-    learned: Mapping[str, Any]  # what the method says of it
-    novelty: Future[float]
-
-
 class Campaign:
     """One campaign in its run folder. What the store already holds is not repeated.
 
-    After `stop_after` failures it stops. `judges` judge by the built-in specs, and compare behaviors, in place of this
-    process.
+    After `stop_after` failures it stops. `judges` judge in place of this process, by the built-in specs.
     """
 
     def __init__(
@@ -117,7 +104,6 @@ class Campaign:
         self._archive = NoveltyArchive()
         self._stored = store.end  # lower candidates have been executed, but the store may have lost some
         self._pending: deque[_Pending] = deque()
-        self._told: deque[_Told] = deque()
         self._asked = 0
         self._start = time.monotonic() - store.elapsed
         self._committed = time.monotonic()
@@ -148,9 +134,9 @@ class Campaign:
                 if not self._pending:
                     break
                 self._tell(self._pending.popleft())
-                self._store_told(observe)
+                self._commit(observe, COMMIT_ROWS, COMMIT_SECONDS)
         finally:
-            self._store_told(observe, ended=True)
+            self._commit(observe, 1, 0.0)
         if ended is not None and not self._pending:
             with _kept():
                 self._store.note_end(ended)
@@ -284,22 +270,20 @@ class Campaign:
             raise ExecutionError(f"Execution {number} could not be carried out: {error}") from error
 
     def _tell(self, oldest: _Pending) -> None:
-        """Tell the method a result."""
+        """Tell the method a result, and store the record unless it is already stored."""
         self._judge_others_until(oldest)
         judged = oldest.judgment or self._judgment(oldest)
-        with self._during(Stage.MINING, oldest.candidate.number):
-            novelty = self._novelty(judged.trace)
-            learned = self._method.tell(oldest.candidate, judged.trace, judged.result.verdict)
-        self._failures += judged.result.failed
-        self._told.append(_Told(oldest, judged, learned, novelty))
-
-    def _novelty(self, trace: Trace) -> Future[float]:
-        """Compare the behavior of an execution with those of all earlier ones."""
-        if self._judges is not None:
-            return self._judges.compare(state_matrix(trace))
-        novelty: Future[float] = Future()
-        novelty.set_result(self._archive.observe(state_matrix(trace)))
-        return novelty
+        record = self._record(oldest, judged)
+        self._failures += record.failed
+        if not isinstance(oldest.result, Execution):
+            self._store.add(Execution(record, judged.data, self.elapsed, record.members_around(judged.members)))
+        elif not oldest.result.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
+            raise InputError(
+                f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration or "
+                f"the program has changed"
+            )
+        else:
+            self.progress = self.progress.after(oldest.result.record, resumed=True)
 
     def _judge_others_until(self, oldest: _Pending) -> None:
         """Judge candidates that have been executed early, until the oldest one has been executed as well."""
@@ -344,45 +328,11 @@ class Campaign:
                 place = f"in execution {candidate.number} of {self._store.folder}"
                 raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
 
-    def _store_told(self, observe: Callable[[Progress], None], *, ended: bool = False) -> None:
-        """Store what has been told and compared. If it is much, or enough time has passed, commit it.
-
-        If the campaign has `ended`, wait until all is stored.
-        """
-        is_due = ended or time.monotonic() - self._committed >= COMMIT_SECONDS
-        if is_due and self._told and self._judges is not None:
-            self._judges.end_group()
-            with suppress(TimeoutError), self.clock.during(Stage.WAITING):
-                self._told[-1].novelty.exception(None if ended else _PATIENCE)
-        try:
-            while self._told and (self._told[0].novelty.done() or len(self._told) > _MOST_EARLY):
-                self._store_one(self._told[0])
-                self._told.popleft()  # only now: after one that cannot be stored, no other is
-        finally:
-            if is_due or self._store.pending >= COMMIT_ROWS:
-                self._commit(observe)
-
-    def _store_one(self, told: _Told) -> None:
-        """Store the record of an execution, unless it is already stored."""
-        record, result = self._record(told), told.pending.result
-        if not isinstance(result, Execution):
-            members = record.members_around(told.judged.members)
-            self._store.add(Execution(record, told.judged.data, self.elapsed, members))
-        elif not result.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
-            raise InputError(
-                f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration or "
-                f"the program has changed"
-            )
-        else:
-            self.progress = self.progress.after(result.record, resumed=True)
-
-    def _record(self, told: _Told) -> Record:
-        pending, judged, learned, compared = told
+    def _record(self, pending: _Pending, judged: Judgment) -> Record:
         candidate = pending.candidate
-        try:
-            novelty = compared.result()
-        except Exception as error:
-            raise ExecutionError(f"Execution {candidate.number} could not be compared with others: {error}") from error
+        with self._during(Stage.MINING, candidate.number):
+            novelty = self._archive.observe(judged.trace)
+            learned = self._method.tell(candidate, judged.trace, judged.result.verdict)
         return Record(
             id=candidate.number,
             origin=candidate.origin,
@@ -394,8 +344,11 @@ class Campaign:
             scenario=WrittenValues(pending.scenario or judged.scenario or encode_json(candidate.scenario.to_dict())),
         )
 
-    def _commit(self, observe: Callable[[Progress], None]) -> None:
-        """Commit and count the executions that are stored since the last commit."""
+    def _commit(self, observe: Callable[[Progress], None], rows: int, seconds: float) -> None:
+        """Commit and count the pending executions if there are enough of them or enough time has passed."""
+        waited = time.monotonic() - self._committed
+        if self._store.pending < rows and waited < seconds:
+            return
         with self.clock.during(Stage.STORING), _kept():
             committed = self._store.commit(self.clock.total)
         for execution in committed:

@@ -1,9 +1,8 @@
-"""Judges: processes that judge the traces of a long campaign with workers, and one that compares behaviors.
+"""Judges: processes that judge the traces of a long campaign with workers.
 
-They never load a driver. What a judge says depends on a trace alone, and the behaviors are compared in the order of the
-executions. So a campaign's records do not depend on whether other processes or the campaign itself did this, and on
-what was done together. Only long campaigns have these processes, because one takes as long to start as to judge some
-hundred traces.
+They never load a driver. What they say depends on a trace alone. So a campaign's records do not depend on whether a
+judge or the campaign itself judged a trace, in which process, and together with which others. Only long campaigns have
+them, because a process takes as long to start as to judge some hundred traces.
 """
 
 import json
@@ -19,29 +18,25 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from behavexplor.behavior.features import ATTRIBUTES, known_states, state_matrix
-from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.judgment import Judgment, judgment
 from behavexplor.campaign.record import Result, encode_json, json_object, members_of
-from behavexplor.data.array_types import Singles
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.scenario import LogicalScenario, draws
 from behavexplor.data.trace import Trace
 from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.executor import ADSError
-from behavexplor.execution.messages import KEY_BYTES, packed, unpacked
+from behavexplor.execution.messages import packed, unpacked
 from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.service import Recipe, Service
 from behavexplor.jit import keep_code_in
 from behavexplor.judge.closest_approach import Nearness, known_nearness
 from behavexplor.judge.specs import SPECS
 
-JUDGE: Final = "judge"  # functions of the services
-COMPARE: Final = "compare"
+JUDGE: Final = "judge"  # function of the service
 WORKERS_OF_A_JUDGE: Final = 4  # a trace takes longer to drive than to judge
 LEAST_EXECUTIONS: Final = 1500  # of a campaign for which it pays to start processes
 MOST_IN_GROUP: Final = 64  # traces that are judged at a time
-COMPARED_TOGETHER: Final = 16  # behaviors
 PATIENCE: Final = 600.0  # time limit of a group [s]
 PASS_BY_FRAMES: Final = 31  # of the small trace, see `pass_by`
 _END: Final = b"\0"  # of the texts about a trace
@@ -86,21 +81,6 @@ class _Driven(NamedTuple):
     drawn: bytes  # the seed and the number by which its scenario was drawn; empty if the campaign knows the scenario
 
 
-class NoveltyService(Service):
-    """Compares the behaviors of a campaign with all earlier ones, in the order of the executions."""
-
-    def __init__(self) -> None:
-        self._archive, self._seen = NoveltyArchive(), 0
-        self.functions = {COMPARE: self._compare}
-
-    def _compare(self, request: bytes) -> bytes:
-        first, *behaviors = unpacked(request)  # see `Judges.end_group`
-        if int.from_bytes(first) != self._seen:  # this process has taken the place of one that has ended
-            raise RuntimeError("the process that knew the earlier behaviors has ended")
-        self._seen += len(behaviors)
-        return np.array([self._archive.observe(_states(one)) for one in behaviors]).tobytes()
-
-
 class Judges:
     """Processes that judge the traces of a campaign, which arrive one by one and are judged in groups.
 
@@ -119,9 +99,6 @@ class Judges:
         self._lock = Lock()  # guards the following fields, which the threads of two executors change
         self._waiting: list[_Driven] = []
         self._groups = 0  # under way
-        self._comparer: WorkerPool | None = None
-        self._compared: list[tuple[Future[float], bytes]] = []  # the next group, with the ego's states as bytes
-        self._first = 0  # number of the first execution in it
 
     def ready(self) -> bool:
         """Start the processes on the first call. Return whether they have begun, so that `follow` can be called."""
@@ -151,36 +128,12 @@ class Judges:
         driven.add_done_callback(partial(self._take, judging, drawn))
         return judging
 
-    def compare(self, states: Singles) -> "Future[float]":
-        """Return the future novelty of the next behavior, which is compared with all earlier ones.
-
-        Behaviors are compared in groups of `COMPARED_TOGETHER`, or fewer if `end_group` is called.
-        """
-        novelty: Future[float] = Future()
-        self._compared.append((novelty, states.tobytes()))
-        if len(self._compared) >= COMPARED_TOGETHER:
-            self.end_group()
-        return novelty
-
-    def end_group(self) -> None:
-        """Let the behaviors that wait for others be compared. The process starts on the first call."""
-        if not self._compared:
-            return
-        if self._comparer is None:
-            recipe = Recipe(f"{__name__}:{NoveltyService.__name__}")
-            self._comparer = WorkerPool(1, recipe, PATIENCE, math.inf)
-        novelties, states = zip(*self._compared, strict=True)
-        answer = self._comparer.submit(COMPARE, packed([self._first.to_bytes(KEY_BYTES), *states]))
-        answer.add_done_callback(partial(_resolve_all, novelties))
-        self._first += len(states)
-        self._compared = []
-
     def shutdown(self) -> None:
         """End the processes at once."""
         with self._lock:
             self._count = 0  # what is driven from now on is not judged
-        for pool in filter(None, (self._pool, self._comparer)):
-            pool.shutdown(wait=False)
+        if self._pool is not None:
+            self._pool.shutdown(wait=False)
 
     def _take(self, judging: "Future[Judgment]", drawn: bytes, driven: "Future[bytes]") -> None:
         try:
@@ -242,28 +195,10 @@ def _resolve(judging: "Future[Judgment]", data: bytes, found: bytes) -> None:
     if "error" in values:
         judging.set_exception(ADSError("crash", values["error"]))
         return
-    computed = known_states("route", _states(states)) | (known_nearness(*json.loads(near)) if near else {})
+    matrix = np.frombuffer(states, dtype=np.float32).reshape(-1, len(ATTRIBUTES))
+    computed = known_states("route", matrix) | (known_nearness(*json.loads(near)) if near else {})
     trace = Trace.of_packed(data, **computed)
     judging.set_result(Judgment(data, trace, Result.from_dict(values), members, scenario))
-
-
-def _states(data: bytes) -> Singles:
-    """Return the ego's states that were written as float32, shape (N', 8)."""
-    return np.frombuffer(data, dtype=np.float32).reshape(-1, len(ATTRIBUTES))
-
-
-def _resolve_all(novelties: "Sequence[Future[float]]", answer: "Future[bytes]") -> None:
-    """Give futures the novelties that a `NoveltyService` has told. If it was canceled, nobody waits for them."""
-    if answer.cancelled():
-        return
-    try:
-        values = np.frombuffer(answer.result()).tolist()
-    except Exception as error:
-        for future in novelties:
-            future.set_exception(error)
-        return
-    for future, value in zip(novelties, values, strict=True):
-        future.set_result(value)
 
 
 def pass_by() -> Trace:

@@ -12,7 +12,6 @@ from types import FrameType
 import numpy as np
 
 from behavexplor.ads.interface import ADS
-from behavexplor.behavior.features import state_matrix
 from behavexplor.behavior.miner import k_means
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import TOGETHER, Campaign, search_method
@@ -196,7 +195,7 @@ def load_analysis() -> None:
     unpack_motion(np.zeros((1, 2, PASS_BY_FRAMES), dtype=np.uint8), PASS_BY_FRAMES, RESOLUTION)
     trace = pass_by()
     judge(trace)
-    NoveltyArchive().observe(state_matrix(trace))
+    NoveltyArchive().observe(trace)
 
 
 Handler = Callable[[int, FrameType | None], object] | signal.Handlers

@@ -1,7 +1,6 @@
 """Judging in other processes gives the same records as judging in the campaign's own."""
 
 import json
-import math
 import re
 import subprocess
 import sys
@@ -16,18 +15,16 @@ import numpy as np
 import pytest
 
 from behavexplor.behavior.features import state_matrix
-from behavexplor.behavior.novelty import NoveltyArchive
-from behavexplor.campaign import campaign, opening
 from behavexplor.campaign import judges as judges_module
+from behavexplor.campaign import opening
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.judges import COMPARE, Judges, NoveltyService, judged
+from behavexplor.campaign.judges import Judges, judged
 from behavexplor.campaign.judgment import ads_failure, confirmation, judgment, repeat_execution
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
-from behavexplor.errors import InputError
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.messages import packed, unpacked
 from behavexplor.execution.start import start_executor
@@ -169,44 +166,6 @@ def test_judges_that_know_where_they_are_draw_scenarios_from_the_beginning(
     assert Judges(workers, logical).will_draw() is will_draw
 
 
-def test_novelties_do_not_depend_on_who_compares():
-    """In groups of 16, or of what waits when a group is ended."""
-    archive, made, groups = NoveltyArchive(), Judges(1), []
-    own = [archive.observe(state_matrix(Trace.from_bytes(data))) for data in TRACES * 2]
-    futures = [made.compare(state_matrix(Trace.from_bytes(data))) for data in TRACES]
-    made.end_group()
-    made.end_group()  # there is nothing to compare
-    submit = made._comparer.submit
-    made._comparer.submit = lambda function, data: groups.append(len(unpacked(data)) - 1) or submit(function, data)
-    futures += [made.compare(state_matrix(Trace.from_bytes(data))) for data in TRACES]
-    assert not futures[-1].done()
-    made.end_group()
-    assert [future.result(60) for future in futures] == own
-    assert groups == [16, 4]
-    assert len(set(own)) > 10
-    made.shutdown()
-
-
-def test_a_process_that_has_not_seen_all_earlier_behaviors_says_so():
-    service, states = NoveltyService(), state_matrix(Trace.from_bytes(TRACES[0])).tobytes()
-    compare = service.functions[COMPARE]
-    assert np.frombuffer(compare(packed([(0).to_bytes(8), states, states]))).tolist() == [1.0, 0.0]
-    assert np.frombuffer(compare(packed([(2).to_bytes(8), states]))).tolist() == [0.0]
-    with pytest.raises(RuntimeError, match="that knew the earlier behaviors has ended"):
-        compare(packed([(2).to_bytes(8), states]))
-
-
-def test_behaviors_that_are_canceled_at_the_end_are_left_alone(caplog):
-    made, answer = Judges(1), Future()
-    made._comparer = SimpleNamespace(submit=lambda *_: answer, shutdown=lambda **_: answer.cancel())
-    novelty = made.compare(state_matrix(Trace.from_bytes(TRACES[0])))
-    made.end_group()
-    made.shutdown()
-    assert answer.cancelled()
-    assert not novelty.done()
-    assert not caplog.records
-
-
 def lasts(trace):
     """A requirement of a user."""
     return trace.duration
@@ -288,7 +247,6 @@ def test_records_do_not_depend_on_who_judges(tmp_path, monkeypatch, method, targ
     whole = run(tmp_path / "here", 0, method=method, **target)
     followed, follow = [], Judges.follow
     monkeypatch.setattr(opening, "LEAST_EXECUTIONS", 1)
-    monkeypatch.setattr(campaign, "NoveltyArchive", lambda: None)  # another process compares
     monkeypatch.setattr(Judges, "ready", ready)
     monkeypatch.setattr(Judges, "follow", lambda self, *given: followed.append(given) or follow(self, *given))
     assert run(tmp_path / "there", 2, method=method, budget="20", **target) == whole[:20]
@@ -320,69 +278,6 @@ def test_a_judge_that_ends_is_not_the_drivers_failure(tmp_path, monkeypatch):
         run(tmp_path / "run", 1)
     with closing(Store.read(tmp_path / "run")) as store:
         assert len(store) == 0
-
-
-class Comparison(Judges):
-    """Judges that compare a behavior only when they are asked to end a group, and only so many."""
-
-    def __init__(self, most=math.inf):
-        super().__init__(0)
-        self.archive, self.most, self.asked = NoveltyArchive(), most, []
-
-    def compare(self, states):
-        self.asked.append((Future(), states))
-        return self.asked[-1][0]
-
-    def end_group(self):
-        for future, states in self.asked:
-            if not future.done() and self.most > 0:
-                future.set_result(self.archive.observe(states))
-                self.most -= 1
-            elif not future.done():
-                future.set_exception(RuntimeError("a worker ended: its process is gone"))
-
-
-def compared(folder, judges, observe=lambda _: None, resume=False, **config):
-    """Conduct a campaign in this process, and return its records."""
-    config = CampaignConfig(**{**vars(CONFIG), **config})
-    with opened(config, folder, 0, resume=resume) as ready:
-        ready.campaign._judges = judges
-        ready.campaign.run(observe)
-    with closing(Store.read(folder)) as store:
-        return [record.to_dict() for record in store.records()]
-
-
-def test_executions_are_stored_once_their_behavior_has_been_compared(tmp_path, monkeypatch):
-    whole, seen = [record for record, _ in run(tmp_path / "here", 0)], []
-    monkeypatch.setattr(campaign, "COMMIT_SECONDS", math.inf)
-    assert compared(tmp_path / "late", Comparison(), lambda progress: seen.append(progress.executions)) == whole
-    assert seen == [40]
-    monkeypatch.setattr(campaign, "COMMIT_SECONDS", 0.0)
-    seen.clear()
-    assert compared(tmp_path / "at-once", Comparison(), lambda progress: seen.append(progress.executions)) == whole
-    assert seen == [*range(1, 41), 40]
-
-
-@pytest.mark.parametrize(("seconds", "stored"), [(0.0, 13), (math.inf, 13)])
-def test_what_cannot_be_compared_ends_a_campaign_and_keeps_what_was_stored(tmp_path, monkeypatch, seconds, stored):
-    whole = [record for record, _ in run(tmp_path / "here", 0)]
-    monkeypatch.setattr(campaign, "COMMIT_SECONDS", seconds)
-    words = "Execution 13 could not be compared with others: a worker ended: its process is gone"
-    with pytest.raises(ExecutionError, match=words):
-        compared(tmp_path / "run", Comparison(13))
-    with closing(Store.read(tmp_path / "run")) as store:
-        assert len(store) == stored
-    assert compared(tmp_path / "run", Comparison(), resume=True) == whole
-
-
-def test_an_execution_that_is_judged_differently_is_noticed_before_later_ones_are_stored(tmp_path):
-    run(tmp_path / "run", 0, budget="20")
-    archive = Comparison()
-    archive.archive = SimpleNamespace(observe=lambda _: 0.125)
-    with pytest.raises(InputError, match="execution 0 is now judged differently"):
-        compared(tmp_path / "run", archive, resume=True)
-    with closing(Store.read(tmp_path / "run")) as store:
-        assert len(store) == 20
 
 
 @pytest.mark.slow

@@ -6,7 +6,6 @@ import sys
 
 import numpy as np
 
-from behavexplor.behavior.features import state_matrix
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.judgment import judgment
 from behavexplor.campaign.opening import load_analysis
@@ -27,7 +26,7 @@ rng = np.random.default_rng(0)
 traces = [trace for _, trace in simulation.run_all([simulation.logical.sample(rng) for _ in range(16)])]
 safe = [trace.to_bytes() for trace in traces if trace.end != "collision"]
 before, archive = loaded(), NoveltyArchive()
-novelties = [archive.observe(state_matrix(judgment(data, None, SPECS).trace)) for data in safe]
+novelties = [archive.observe(judgment(data, None, SPECS).trace) for data in safe]
 print(len(novelties) > 5, loaded() == before)
 """
 
