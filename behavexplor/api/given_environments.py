@@ -57,9 +57,9 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
 
 
 def given_config(of_env: Mapping[str, Any] | None, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return the configuration that an environment object and what is given with it tell; None if it is not known.
+    """Return the configuration of an environment object with what is `given` for it; None if there is neither.
 
-    What is given counts if both tell a key.
+    If both have a key, the given value counts.
 
     Raises:
         InputError: if what is given is no configuration.
@@ -68,7 +68,8 @@ def given_config(of_env: Mapping[str, Any] | None, given: Mapping[str, Any] | No
         return None
     if not isinstance(given, Mapping | None):
         raise InputError(f"env_config must be a mapping from keys to values, got {brief(given)}")
-    return dict(json.loads(config_text({**(of_env or {}), **(given or {})})))
+    whole = {**(of_env or {}), **(given or {})}
+    return dict(json.loads(config_text(whole)))  # values of numpy become plain ones
 
 
 def _check_wrappers(env: gymnasium.Env[Any, Any]) -> None:

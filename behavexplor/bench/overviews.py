@@ -24,9 +24,11 @@ from behavexplor.bench.table import (
 from behavexplor.judge.discovery import Discovery
 
 Pair = tuple[str, str, str, str]  # environment, ADS, and two methods
-EARLY: Final = 0.1  # share of a campaign before its forecast
-NEXT: Final = 0.1  # number of executions in which new classes are counted, as a share of those before the forecast
-LEAST: Final = 50  # executions before a forecast; fewer tell nothing about the classes that are left
+FORECAST_AFTER: Final = 0.1  # share of a campaign before its forecast
+FORECAST_SPAN: Final = (
+    0.1  # number of executions in which new classes are counted, as a share of those before the forecast
+)
+FORECAST_LEAST: Final = 50  # executions before a forecast; fewer tell nothing about the classes that are left
 _FORECAST_COLUMNS = tuple(
     map(Column, ("n", "After", "Classes", "Chance %", "Then new %", "Total, forecast", "Total, found", "Within"))
 )
@@ -202,8 +204,8 @@ def forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
     """Return the table of forecasts after a tenth of each campaign, for campaigns that are long enough."""
     notes = (
         "Question: can the estimates of what is left to find be trusted?",
-        f"After: number of executions, {EARLY:.0%} of a campaign. Classes: those found until then. Total: forecast of "
-        "all classes that there are (Chao1), and number found by the whole campaign.",
+        f"After: number of executions, {FORECAST_AFTER:.0%} of a campaign. Classes: those found until then. Total: "
+        "forecast of all classes that there are (Chao1), and number found by the whole campaign.",
         *_FORECAST_NOTES,
         "The estimates are for independent executions, as uniform sampling makes them.",
     )
@@ -232,7 +234,7 @@ def pooled_forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Ta
 
 def _after_a_tenth(summary: Summary) -> Forecast:
     """Return the forecast after a tenth of a campaign."""
-    early = summary.first(round(EARLY * summary.executions)).discovery
+    early = summary.first(round(FORECAST_AFTER * summary.executions)).discovery
     more = _following(early)
     new = len(summary.kinds(before=early.executions + more)) - early.found
     return Forecast(early, new / more, len(summary.kinds()))
@@ -250,12 +252,12 @@ def _after_each(found: Sequence[Summary]) -> list[Forecast]:
 
 
 def _following(early: Discovery) -> int:
-    return max(round(NEXT * early.executions), 1)
+    return max(round(FORECAST_SPAN * early.executions), 1)
 
 
 def _forecast_cells(made: Sequence[Forecast]) -> tuple[Value, ...]:
     """Return the cells on some forecasts; none if all were made too early."""
-    found = [one for one in made if one.early.executions >= LEAST]
+    found = [one for one in made if one.early.executions >= FORECAST_LEAST]
     if not found:
         return ()
     early = [one.early for one in found]

@@ -38,8 +38,8 @@ class Execution:
     record: Record
     trace: bytes  # trace as bytes, see `behavexplor.data.trace.Trace.from_bytes`
     elapsed: float  # running time of the campaign up to the execution [s]
-    # the members of the record, if they are known already
-    written: Sequence[str] | None = field(default=None, compare=False)
+    # the members of the record as texts, if they have been encoded already; encoding takes a while
+    encoded: Sequence[str] | None = field(default=None, compare=False)
 
     @property
     def id(self) -> int:
@@ -49,7 +49,7 @@ class Execution:
     @property
     def members(self) -> Sequence[str]:
         """The members of the record's JSON object, each as a text `"name": value`."""
-        return self.written or self.record.members
+        return self.encoded or self.record.members
 
     @property
     def scenario(self) -> Scenario:
@@ -343,7 +343,11 @@ def _execution(row: database_rows.Row) -> Execution:
 
 
 def _record(row: database_rows.Row) -> Record:
-    """Return the record in a row. Raises a `DamagedError` if there is no valid one, or that of another execution."""
+    """Return the record in a row.
+
+    Raises:
+        DamagedError: if the row holds no valid record, or the record of another execution.
+    """
     try:
         record = Record.from_json(row.record)
     except ValueError as error:

@@ -84,11 +84,11 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     count = chosen_workers(workers)
     output = check_outputs(json_file, junit)
     _check(scenarios, margin, junit, out, (first, second))
-    # both campaigns draw `scenarios` uniformly: the given method and budget are those of the search
-    of_search = {name: given.get(name, default) for name, default in _SEARCH.items()}
     env = named_env(given.get("env"), first) or CampaignConfig.env
+    # the given method and budget are for the search only: both campaigns draw `scenarios` uniformly
     config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})
-    searching = replace(config, batch=CampaignConfig.batch, **of_search)
+    method, budget = (given.get(name, default) for name, default in _SEARCH.items())
+    searching = replace(config, method=method, budget=budget, batch=CampaignConfig.batch)
     if search:
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
     folder = out or stamped_folder("compare")

@@ -62,9 +62,18 @@ def importing(
     if out is not None:
         write_json(out, scenario.to_dict())
     if ads is not None:
-        how: dict[str, Any] = {"env_config": scene.env_config, **scenario.conditions, "activation": activation}
-        consent: dict[str, Any] = {"trust": (trust,) if trust else (), "unconfined": unconfined}
-        return _execute(scenario, Target(scene.environment, ads, confirm=False, **how, **consent), logical)
+        # the conditions that a scenario states count more than those of its scene
+        conditions: dict[str, Any] = {"env_config": scene.env_config, **scenario.conditions}
+        target = Target(
+            scene.environment,
+            ads,
+            confirm=False,
+            activation=activation,
+            trust=(trust,) if trust else (),
+            unconfined=unconfined,
+            **conditions,
+        )
+        return _execute(scenario, target, logical)
     if out is None:
         say(scenario.to_json())
     return OK
@@ -102,7 +111,8 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
     """Execute a scenario, and print the outcome."""
     with start_executor(target, fewest_workers(target)) as executor:
         try:
-            result = judgment(executor.submit(EXECUTE, scenario.to_json().encode()).result(), None, SPECS).result
+            data = executor.submit(EXECUTE, scenario.to_json().encode()).result()
+            result = judgment(data, None, SPECS).result
         except ADSError as error:
             say(sentence(f"The ADS failed: {ads_failure(error)['message']}"))
             say(f"Class: {ERROR}/{error.kind}")

@@ -78,20 +78,21 @@ def write_junit(
     """
     if path is None:
         return
-    element = TestSuite(f"behavexplor {suite}")
+    tests = TestSuite(f"behavexplor {suite}")
     time = round(seconds, 3)
+    # `printable`: XML cannot hold control characters or surrogates
     for name, value in properties.items():
-        element.add_property(name, printable(value))
+        tests.add_property(name, printable(value))
     for result in results:
         case = _Case(printable(result.name), classname=suite, time=time if len(results) == 1 else None)
         if result.file is not None:
-            case.file = printable(str(result.file))  # XML holds no characters that are none
+            case.file = printable(str(result.file))
         if result.failure:
             case.result = [Failure(printable(result.failure), result.kind)]
-        element.add_testcase(case)
-    element.time = time  # after the cases, whose times junitparser would add up
+        tests.add_testcase(case)
+    tests.time = time  # after the cases, whose times junitparser would add up
     document = JUnitXml()
-    document.add_testsuite(element)
+    document.add_testsuite(tests)
     written = io.BytesIO()
     document.write(written, pretty=True)
     _write(path, written.getvalue().decode())

@@ -39,7 +39,8 @@ from behavexplor.triage.witness import avoids, replay_witness
 
 COLLISION = Collision().name
 
-# arguments of `make_folder`: the folder of --out, or that in the run folder
+# Arguments of `make_folder`: the folder of --out, or the run folder and "replays". They are not joined, so that
+# `make_folder` refuses a link in the run folder that leads out of it.
 _FolderParts = tuple[Path] | tuple[Path, str]
 
 

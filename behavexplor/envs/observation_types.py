@@ -56,7 +56,7 @@ def default_ranges(n_side_lanes: int) -> dict[str, list[float]]:
 class SceneObservation(ObservationType):  # type: ignore[misc]
     """All vehicles in world coordinates: float64, (1 + n_npcs, 8), with the columns of `behavexplor.data.scene`."""
 
-    def __init__(self, env: Any, **_: Any) -> None:
+    def __init__(self, env: Any, **_: Any) -> None:  # a `behavexplor.envs.driving.DrivingEnv`
         super().__init__(env)
         self._shape = (1 + env.logical.n_npcs, scene.N_COLUMNS)
 

@@ -133,29 +133,30 @@ def read_scene(path: Path) -> SceneFile:
 
 
 def _take_act(motions: dict[str, "_Motion"], act: Element) -> None:
-    begin = _start(act)
+    trigger = _trigger(act)
     for group in act.iterfind("ManeuverGroup"):
         if group.get("maximumExecutionCount", "1") != "1":
             raise _refused(group, "a maximumExecutionCount other than 1")
         actors = [_motion(motions, actor.get("entityRef"), actor) for actor in group.iterfind("Actors/EntityRef")]
         for event in group.iterfind("Maneuver/Event"):
-            start = max(_start(event), begin, key=lambda one: one.time)
+            latest = max(_trigger(event), trigger, key=lambda one: one.time)
             for entity in event.iterfind("Action/GlobalAction/EntityAction"):
-                _motion(motions, entity.get("entityRef"), entity).appear_or_leave(entity, start.time)
+                _motion(motions, entity.get("entityRef"), entity).appear_or_leave(entity, latest.time)
             for actor in actors:
-                actor.add(event, start)
+                actor.add(event, latest)
 
 
 def _parsed(path: Path) -> Element:
     """Return the root of a file, in which all references to parameters are replaced by their values."""
     root = read_xml(path)
-    kind = "an OpenSCENARIO catalog" if root.find("Catalog") is not None else _KINDS.get(root.tag, "another XML file")
     header = root.find("FileHeader")
     if root.tag != _ROOT or header is None or scenes.ENVIRONMENT not in _properties(header):
+        is_catalog = root.find("Catalog") is not None
+        kind = "an OpenSCENARIO catalog" if is_catalog else _KINDS.get(root.tag, "another XML file")
         raise InputError(
             f"{path} is {kind}, and not a scene of behavexplor's environments: only what `behavexplor export` has "
-            f"written in OpenSCENARIO 1.2 can be taken, changed or not (its FileHeader has the property "
-            f"{scenes.ENVIRONMENT})"
+            f"written in OpenSCENARIO 1.2 can be taken, also if it was changed since. The FileHeader of such a file "
+            f"has the property {scenes.ENVIRONMENT}"
         )
     _check_known(root)
     _insert_parameters(root)
@@ -264,14 +265,14 @@ class _Motion:
         for place in entity.iterfind("AddEntityAction/Position/WorldPosition"):
             self.start = np.array([time, *_pose(place)])
 
-    def add(self, event: Element, start: "_Start") -> None:
+    def add(self, event: Element, trigger: "_Trigger") -> None:
         """Take the entity's own actions in an event."""
         for follow in event.iterfind("Action/PrivateAction/RoutingAction/FollowTrajectoryAction"):
             if self.trajectory is not None:
                 raise _refused(follow, f"a second trajectory of {self.name}")
             if follow.get("initialDistanceOffset") is not None and _number(follow, "initialDistanceOffset") != 0:
                 raise _refused(follow, "an initialDistanceOffset")
-            self.trajectory = _rows(follow, start)
+            self.trajectory = _rows(follow, trigger)
         driving = event.find("Action/PrivateAction/RoutingAction/AssignRouteAction/Route")
         for place in () if driving is None else driving.iterfind("Waypoint/Position/WorldPosition"):
             self.route.append([_number(place, "x"), _number(place, "y")])
@@ -294,23 +295,23 @@ class _Motion:
         return self.trajectory
 
 
-class _Start(NamedTuple):
+class _Trigger(NamedTuple):
     """When an act or an event starts."""
 
     time: float  # [s]
     condition: Element  # the condition that says so
 
 
-def _start(element: Element) -> _Start:
+def _trigger(element: Element) -> _Trigger:
     """Return when an act or an event starts."""
     conditions = list(element.iterfind("StartTrigger/ConditionGroup/Condition"))
     values = [condition.find("ByValueCondition/SimulationTimeCondition") for condition in conditions]
     if len(values) != 1 or values[0] is None or values[0].get("rule") not in _FROM_THEN_ON:
         raise _refused(element, f"the start of this {element.tag}, which is not at a simulation time,")
-    return _Start(_number(values[0], "value") + _number(conditions[0], "delay"), values[0])
+    return _Trigger(_number(values[0], "value") + _number(conditions[0], "delay"), values[0])
 
 
-def _rows(follow: Element, start: _Start) -> Floats:
+def _rows(follow: Element, trigger: _Trigger) -> Floats:
     trajectory = follow.find("TrajectoryRef/Trajectory")
     timing = follow.find("TimeReference/Timing")
     vertices = [] if trajectory is None else list(trajectory.iterfind("Shape/Polyline/Vertex"))
@@ -322,11 +323,11 @@ def _rows(follow: Element, start: _Start) -> Floats:
     with np.errstate(over="ignore", invalid="ignore"):  # such times are refused below
         rows[:, 0] = rows[:, 0] * _number(timing, "scale") + _number(timing, "offset")
     if timing.get("domainAbsoluteRelative") == "relative":
-        rows[:, 0] += start.time
+        rows[:, 0] += trigger.time
     if not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
         raise _refused(follow, "a trajectory whose times do not increase")
-    if start.time > rows[0, 0] + _SAME_TIME:
-        raise _refused(start.condition, f"a start at {start.time:g} s, after the beginning of the trajectory,")
+    if trigger.time > rows[0, 0] + _SAME_TIME:
+        raise _refused(trigger.condition, f"a start at {trigger.time:g} s, after the beginning of the trajectory,")
     return rows
 
 

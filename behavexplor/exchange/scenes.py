@@ -37,6 +37,7 @@ VEHICLES: Final = "behavexplor:vehicles"
 ROUTE: Final = "behavexplor:route"  # names of the properties of a vehicle
 WAYPOINTS: Final = "behavexplor:waypoints"
 RECORDED: Final = "behavexplor:recorded"
+# columns of the table of a trace
 COLUMNS: Final = ("time", "vehicle", "type", "x", "y", "heading", "vx", "vy", "length", "width")
 
 
@@ -55,7 +56,7 @@ class Mover:
     # points of its route as they are written, shape (P, 2) [m]; empty if it is not scripted
     route: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     center: tuple[float, float] = (0.0, 0.0)  # its center relative to the file's reference point: along, across [m]
-    is_changed: bool = False  # whether a file says something else of it than was written, see `motion_digest`
+    is_changed: bool = False  # whether its numbers in a file differ from those that were written, see `motion_digest`
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,20 +75,22 @@ class SceneFile:
     time_limit: float = EPISODE_TIME  # time at which the scene ends [s]
     scenario: Scenario | None = None  # the scenario, if its vehicles are not scripted; see `behavexplor.data.scenario`
     n_vehicles: int = 0  # number of vehicles that were written
-    is_changed: bool = False  # whether a file has another scenario than was written
+    is_changed: bool = False  # whether the scenario in a file differs from the one that was written
 
 
 def motion_digest(mover: Mover, rows: Floats, *drive: Floats) -> str:
     """Return a digest of all numbers in a file that count for a vehicle, which tells whether they were changed.
 
     `rows` has the times and poses of its reference point, shape (T, 4); `drive` the points of its route and its speed
-    profile, if the file has them. Of a scripted vehicle, the box does not count, since its type has one; nor does the
-    speed at the start, if there is a trajectory, which has one.
+    profile, if the file has them. The size and the center of a scripted vehicle do not count, because its type
+    determines them. Its speed at the start does not count if there is a trajectory, which determines it.
     """
     is_scripted = mover.script is not None
     numbers: list[ArrayLike] = [rows, *drive]
-    numbers += [] if is_scripted and len(rows) > 1 else [mover.speed]
-    numbers += [] if is_scripted else [mover.size, mover.center]
+    if not is_scripted or len(rows) == 1:
+        numbers.append(mover.speed)
+    if not is_scripted:
+        numbers += [mover.size, mover.center]
     flat = np.concatenate([np.asarray(part, dtype=np.float64).ravel() for part in numbers])
     return _digest(flat.tobytes())
 
@@ -137,11 +140,13 @@ def movers_of(scenario: Scenario, trace: Trace, logical: LogicalScenario, *, is_
     if not scenario.npcs:
         return tuple(movers)
     roadmap = scripted(logical, "A scene of scripted vehicles").roadmap
-    driven = [
+    scripted_movers = [
         replace(mover, script=npc, route=_route_points(npc, roadmap))
         for mover, npc in zip(movers[1:], scenario.npcs, strict=True)
     ]
-    return (movers[0], *(_until_parked(scenario, roadmap, driven) if is_ego_free else driven))
+    if is_ego_free:
+        scripted_movers = _until_parked(scenario, roadmap, scripted_movers)
+    return (movers[0], *scripted_movers)
 
 
 def _route_points(npc: NPC, roadmap: RoadMap) -> Floats:
@@ -174,8 +179,9 @@ def write_table(scenario: Scenario, trace: Trace, path: Path) -> None:
     present = trace.present if trace.present.size else np.ones(trace.heading.shape, dtype=bool)
     names = [(vehicle_name(i), vehicle_type(scenario, i)) for i in range(len(trace.size))]
     sizes, times = trace.size.tolist(), np.round(trace.time, DIGITS).tolist()
-    found = np.argwhere(present).tolist()
-    rows = ([times[frame], *names[i], *motion[frame, i].tolist(), *sizes[i]] for frame, i in found)
+    rows = (
+        [times[frame], *names[i], *motion[frame, i].tolist(), *sizes[i]] for frame, i in np.argwhere(present).tolist()
+    )
     write_durably(path, csv_text(chain([COLUMNS], rows)))
 
 

@@ -21,9 +21,9 @@ _SOURCE: Final = ".py"
 
 
 def source_files(module: str) -> dict[str, Path]:
-    """Return the files of a module and of the packages in its name, by their names. Nothing is imported.
+    """Return the files of a module and of its packages, by the names of the modules, without importing any.
 
-    A module that is not found, or without a file, has none.
+    Those that are not found, or have no file, are left out.
     """
     found: dict[str, Path] = {}
     places: Sequence[str] | None = None

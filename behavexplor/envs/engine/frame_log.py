@@ -63,7 +63,8 @@ def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> 
     frame.n_things, frame.ego = count, episode.ego - first  # the ego's place among what is written
     lane = network.lanes[scene.vehicles[episode.ego].lane]
     station, offset = scene.scratch.stations[episode.ego], scene.scratch.offsets[episode.ego]
-    frame.is_on_road = is_on_lane(lane, station, offset, NO_MARGIN)  # `is_on_road`, from the noted coordinates
+    # as `is_on_road` does, but without computing again the coordinates that `scene.scratch` has
+    frame.is_on_road = is_on_lane(lane, station, offset, NO_MARGIN)
     for k in range(count):
         i = first + k
         thing, vehicle = things[k], scene.vehicles[i]

@@ -62,7 +62,10 @@ class ScriptedSlots(NamedTuple):
 def make_slots(
     n_slots: int, n_frames: int, shape_of_actions: tuple[int, int], logical: ScriptedLogicalScenario
 ) -> ScriptedSlots:
-    """Create slots without episodes, for up to `n_frames` frames and actions of the given shape (D, A)."""
+    """Create slots without episodes, for up to `n_frames` frames.
+
+    `shape_of_actions` is the greatest number of decisions D, and the number A of values of an action.
+    """
     npcs, routes = logical.n_npcs, logical.roadmap.npc_routes
     n_phases = 1 + max(len(logical.position_ranges(route)) for route in routes)
     n_steps = max(len(route.lanes) for route in (logical.roadmap.ego_route, *routes))
@@ -90,10 +93,17 @@ def begin_episodes(
 ) -> bool:
     """Begin an episode in each chosen slot. Return whether slots and NPCs fit the arrays; if not, nothing is changed.
 
-    `chosen` has the numbers of E slots, and `counts` the number of NPCs in each, shape (E,). The NPCs of all episodes
-    follow one another in the other arrays. `routes` has the row of each one's route, shape (n_npcs,), `sizes` its
-    length and width, shape (n_npcs, 2) [m], and `waypoints` its positions [m] and speeds [m/s], padded with copies of
-    the last one, shape (n_npcs, waypoints, 2).
+    The NPCs of all episodes follow one another in the arrays with n_npcs rows.
+
+    Args:
+        world: the world.
+        slots: slots, which are changed in place.
+        chosen: numbers of the slots, shape (E,).
+        counts: number of NPCs in each of them, shape (E,).
+        routes: row of each NPC's route, shape (n_npcs,).
+        sizes: length and width of each NPC, shape (n_npcs, 2) [m].
+        waypoints: positions [m] and speeds [m/s] of each NPC, padded with copies of the last waypoint, shape (n_npcs,
+            waypoints, 2).
     """
     n_npcs = 0
     for k in range(len(chosen)):
@@ -104,15 +114,16 @@ def begin_episodes(
         return False
     first = 0
     for k in range(len(chosen)):
-        b, end = chosen[k], first + counts[k]
+        b = chosen[k]
         _begin_ego(world, slots, b)
         slots.state.episodes[b].n_vehicles = 1 + counts[k]
-        for n in range(first, end):
-            _begin_npc(world, slots, b, n - first, routes[n], waypoints[n])
-            _set_size(slots.state.traits[b, 1 + n - first], sizes[n, 0], sizes[n, 1])
+        for i in range(counts[k]):
+            n = first + i
+            _begin_npc(world, slots, b, i, routes[n], waypoints[n])
+            _set_size(slots.state.traits[b, 1 + i], sizes[n, 0], sizes[n, 1])
         vehicles, scripts = slots.state.vehicles[b], slots.scripts[b]
         move_npcs(world.npc_routes, vehicles, scripts, slots.phases[b], counts[k], 0.0)
-        first = end
+        first += counts[k]
     return True
 
 

@@ -43,9 +43,10 @@ def step(
     If the record of an episode has no room for another decision, nothing is changed, and -1 is returned.
 
     Actions, shape (B, A), are only recorded. Commands are acceleration [m/s2] and steering [rad], shape (B, 2); for
-    meta-actions, the first column is the code of the maneuver. `active`, shape (B,), says which slots are simulated,
-    and `ends`, shape (2, B) and all False at first, which episodes are now terminated and truncated. At most `n_frames`
-    are simulated; if a decision has more, the next call with the same actions goes on.
+    meta-actions, the first column is the code of the maneuver. `active`, shape (B,), says which slots are simulated.
+    `ends`, shape (2, B), is all False at first. Then its first row says which episodes are terminated, and its second
+    row which are truncated. At most `n_frames` are simulated; if a decision has more, the next call with the same
+    actions goes on.
     """
     if not _have_room(world, slots, actions, active):
         return -1
@@ -68,7 +69,8 @@ def _decide(world: ScriptedWorld, slots: ScriptedSlots, b: int, action: Floats, 
     """
     run, poses, rules = slots.runs[b], slots.poses[b], world.rules[0]
     vehicles, traits, n_npcs = slots.state.vehicles[b], slots.state.traits[b], slots.state.episodes[b].n_vehicles - 1
-    ego, route, first = vehicles[0], slots.state.routes[b, 0], run.frame
+    ego, route = vehicles[0], slots.state.routes[b, 0]
+    first = run.frame
     decided = first // rules.substeps * rules.substeps  # before `first` if the last call ended within the decision
     for k in range(len(action)):  # numba would make an array to copy a row
         slots.actions[b, decided // rules.substeps, k] = action[k]
