@@ -99,7 +99,7 @@ class RateFolder:
         Raises:
             InputError: if it cannot be written.
         """
-        own = next(iter(found.values()))
+        (_, own), *others = found.items()
         outcomes = dict.fromkeys((*own.counts, FAILED, AT_FAULT, ERROR))
         has_failures = (self.run / CONFIG).is_file()
         classes = summarize(self.run).classes if has_failures else ()
@@ -108,7 +108,7 @@ class RateFolder:
             "alpha": alpha,
             "rates": {outcome: _rate(own, outcome, alpha) for outcome in outcomes},
             "decision": own.decision and {**asdict(own.decision), "words": own.decision.words},
-            "beside": {name: {"scenarios": one.n, **one.counts} for name, one in list(found.items())[1:]},
+            "beside": {name: {"scenarios": one.n, **one.counts} for name, one in others},
             "clause": CLAUSE.format(self._config.env),
             "classes": [{"class": one.id, "words": one.words, "failures": one.count} for one in classes],
             "hardest": self._hardest() if has_failures else None,

@@ -128,7 +128,10 @@ class Progress:
 
 
 class StageClock:
-    """A clock that adds up the time in each stage [s]. `earlier` is that before the campaign was resumed."""
+    """A clock that adds up the time in each stage.
+
+    `earlier` is the time in each stage before the campaign was resumed [s].
+    """
 
     def __init__(self, earlier: Mapping[str, float] = MappingProxyType({})) -> None:
         self._earlier = earlier

@@ -96,9 +96,12 @@ class Display:
         right += [(name, f"{count}{_ago(progress, name)}") for name, count in progress.violations.items()]
         right += [("classes of failures", f"{len(progress.classes)}{_ago(progress, 'class')}")]
         right += [("by another's fault", str(progress.failed - progress.at_fault))]
-        figures = {_FIGURES.get(name, name.replace("_", " ")): value for name, value in progress.method.items()}
-        columns = [left, [*right, *((name, f"{value:.4g}") for name, value in figures.items())]]
-        table = _side_by_side(columns if self._console.width >= _WIDE else [left + right])
+        if self._console.width >= _WIDE:
+            figures = {_FIGURES.get(name, name.replace("_", " ")): value for name, value in progress.method.items()}
+            right += [(name, f"{value:.4g}") for name, value in figures.items()]
+            table = _side_by_side([left, right])
+        else:
+            table = _side_by_side([left + right])
         return Panel(table, title="behavexplor", title_align="left", expand=False)
 
     def _done(self, progress: Progress) -> str:
@@ -130,12 +133,12 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
     head = f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
     lines = [wrapped(f"{head}{share(progress.novel, progress)} of them with new behavior")]
     uniform = UniformRate.stored(store)
-    counts = progress.executions, progress.failed
-    own = explained(method, own_rate(method, *counts, budget, progress.elapsed, uniform))
+    found = own_rate(method, progress.executions, progress.failed, budget, progress.elapsed, uniform)
+    rate_words = explained(method, found)
     if not progress.failed:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
         lines += [
-            wrapped(f"None failed. {own}"),
+            wrapped(f"None failed. {rate_words}"),
             f"All results are in {store.folder}",
             "Search with a larger budget:",
             command,
@@ -143,7 +146,7 @@ def summary(progress: Progress, store: Store, program: str, method: str, budget:
         return "\n".join(lines)
     classes = f"{class_count(len(progress.classes))}{words_of_others_faults(progress.failed - progress.at_fault)}"
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}) in {classes}"
-    lines += [wrapped(f"{failed}. {own}"), "Each failure is counted under its most severe type:"]
+    lines += [wrapped(f"{failed}. {rate_words}"), "Each failure is counted under its most severe type:"]
     width = max(12, *map(len, progress.violations))
     lines += [_line_of(name, width, progress) for name, count in progress.violations.items() if count]
     kinds = Counter({one.id: one.count for one in progress.classes.values()})

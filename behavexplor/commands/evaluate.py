@@ -39,14 +39,20 @@ from behavexplor.execution.start import check_ads, logical_of_target
 from behavexplor.judge.rates import ABOVE, BELOW, FAILED, KNOWN, Goal, check_outcome
 from behavexplor.judge.specs import ERROR
 
-# default numbers of scenarios, without and with a rate to decide on, and the greatest number
-SCENARIOS, DECIDING, MOST_SCENARIOS = 1000, 1_000_000, 10_000_000
+SCENARIOS: Final = 1000  # default number of scenarios
+SCENARIOS_OF_GOAL: Final = 1_000_000  # the same with --below or --until
+MOST_SCENARIOS: Final = 10_000_000
 _CODES: Final = MappingProxyType({BELOW: OK, KNOWN: OK, ABOVE: CHECK_FAILED, "": UNDECIDED})
 DRAWN: Final = "drawn actions"  # heading of a column
 DIFFERENT: Final = 0.01  # level of significance
 _CONSTANT: Final = "constant:"
 _CONTROLS: Final = MappingProxyType(
-    {"careful": "careful", **{f"always {name}": f"constant:{name}" for name in ("SLOWER", "IDLE", "FASTER")}}
+    {
+        "careful": "careful",
+        "always SLOWER": "constant:SLOWER",
+        "always IDLE": "constant:IDLE",
+        "always FASTER": "constant:FASTER",
+    }
 )
 
 _SETTINGS = settings(
@@ -73,7 +79,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     policies: Annotated[Path | None, tyro.conf.Positional, flag("POLICIES", None)] = None,
     *,
     given: Annotated[dict[str, Any], _SETTINGS],
-    scenarios: Annotated[int | None, flag("N", f"{SCENARIOS}, or {DECIDING} with --below or --until")] = None,
+    scenarios: Annotated[int | None, flag("N", f"{SCENARIOS}, or {SCENARIOS_OF_GOAL} with --below or --until")] = None,
     below: Annotated[float | None, flag("P", None)] = None,
     until: Annotated[float | None, flag("SHARE", None)] = None,
     outcome: Annotated[str | None, flag("NAME", f"{Goal.outcome}, or {FAILED} for a ranking")] = None,
@@ -105,7 +111,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         quiet: Print only the table.
     """
     output, goal = check_outputs(json_file, junit), _goal(outcome or Goal.outcome, below, until, junit)
-    default = DECIDING if goal else SCENARIOS
+    default = SCENARIOS_OF_GOAL if goal else SCENARIOS
     count = default if scenarios is None else scenarios
     if not 1 <= count <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
@@ -113,7 +119,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     check_name(ads)
     config = campaign_config({**given, "env": named_env(given.get("env"), ads) or CampaignConfig.env})
     folder = None if out is None or policies else RateFolder(out, config)
-    run, begun = _Run(count, config.seed, chosen_workers(workers), quiet, goal, folder), time.monotonic()
+    run = _Run(count, config.seed, chosen_workers(workers), quiet, goal, folder)
+    begun = time.monotonic()
     try:
         if policies is not None:
             return _ranked(policies, out, {**given, "outcome": outcome or FAILED}, run, output)
@@ -124,7 +131,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         return EXECUTION_FAILED
     _say_rates(config, found, folder, output)
     write_json(json_file, _values(config, found))
-    own = found[Path(ads).name]
+    own = next(iter(found.values()))
     decision = own.decision
     if decision is not None:
         case = CaseResult(f"{decision.goal.outcome} below {below}", "" if decision.verdict == BELOW else decision.words)
@@ -180,11 +187,14 @@ def _goal(outcome: str, below: float | None, until: float | None, junit: Path | 
 def _evaluations(config: CampaignConfig, run: _Run, *, controls: bool) -> dict[str, Evaluation]:
     """Return the evaluation of the driver and of what it is compared with, by the headings of their columns."""
     logical, evaluation, draws = _evaluated(config.target, run)
-    found = {Path(config.ads).name: evaluation}
+    name = Path(config.ads).name
+    found = {config.ads if name in _CONTROLS else name: evaluation}
     beside_it = run._replace(scenarios=min(run.scenarios, SCENARIOS), goal=None, folder=None)
-    for name, beside in _beside(config.target, logical, draws=draws, controls=controls).items():
-        rates = _rates_beside(name, beside, beside_it)
-        found |= {} if rates is None else {name: rates}
+    for heading, beside in _beside(config.target, logical, draws=draws, controls=controls).items():
+        # if the driver is itself this control, it is not driven again
+        rates = None if heading in found else _rates_beside(heading, beside, beside_it)
+        if rates is not None:
+            found[heading] = rates
     return found
 
 

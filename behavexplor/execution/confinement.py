@@ -12,21 +12,21 @@ from pathlib import Path
 from socket import SOCK_DGRAM
 from typing import Final
 
-# Devices that GPU computing, shared memory between threads, and discarded output use. No other one can be opened, so
-# that no terminal can.
+# Devices that GPU computing, shared memory between threads, and discarded output use. All others are blocked, terminals
+# among them.
 _DEVICES: Final = ("null", "zero", "full", "random", "urandom", "shm", "nvidia*", "dri", "kfd")
 # Calls that create sockets, directly or through io_uring. Socket pairs within the process and its children still work.
-_OF_SOCKETS: Final = ("socket", "io_uring_setup")
+_SOCKET_CALLS: Final = ("socket", "io_uring_setup")
 # Calls that change owner, permissions, times or attributes of a file, which Landlock leaves alone. The last three are
 # fchmodat2, setxattrat and removexattrat, which older versions of libseccomp do not know by name.
-_OF_ATTRIBUTES: Final = (
+_ATTRIBUTE_CALLS: Final = (
     *("chmod", "fchmod", "fchmodat", "chown", "lchown", "fchown", "fchownat"),
     *("utime", "utimes", "futimesat", "utimensat"),
     *("setxattr", "lsetxattr", "fsetxattr", "removexattr", "lremovexattr", "fremovexattr"),
     *(452, 463, 466),
 )
 # Calls that change limits, priority or processors of a process, with the argument that is 0 for the calling one.
-_OF_PROCESSES: Final = {
+_PROCESS_CALLS: Final = {
     "prlimit64": 0,
     "sched_setaffinity": 0,
     "sched_setattr": 0,
@@ -58,7 +58,10 @@ def confine() -> tuple[str, ...]:
 
 
 def _seal_files() -> bool:
-    """Block writing files, opening devices, and signals to outside from Linux 6.12 on. Return if writing is blocked."""
+    """Block writing files, opening devices, and from Linux 6.12 on signals to outside processes.
+
+    Return whether writing is blocked.
+    """
     try:
         from landlockpy import AccessFS, LandlockError, Ruleset, Scope, abi_version  # noqa: PLC0415 - Linux only
     except ModuleNotFoundError:
@@ -68,7 +71,7 @@ def _seal_files() -> bool:
     readable = [place for place in Path("/").iterdir() if place.name != "dev" and not place.is_symlink()]
     devices = [device for pattern in _DEVICES for device in Path("/dev").glob(pattern)]
     try:
-        if abi_version() < 1:
+        if abi_version() < 1:  # this system has no Landlock
             return False
         with Ruleset(handled_fs=sealed, scoped=Scope.SIGNAL | Scope.ABSTRACT_UNIX_SOCKET) as ruleset:
             for place in (Path(tempfile.gettempdir()), *devices):
@@ -90,10 +93,11 @@ def _seal_calls() -> bool:
     except (ImportError, OSError, RuntimeError):  # without libseccomp
         return False
     try:
-        calls, refused = pyseccomp.SyscallFilter(pyseccomp.ALLOW), pyseccomp.ERRNO(errno.EACCES)
-        for call in (*_OF_SOCKETS, *_OF_ATTRIBUTES):
+        calls = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
+        refused = pyseccomp.ERRNO(errno.EACCES)
+        for call in (*_SOCKET_CALLS, *_ATTRIBUTE_CALLS):
             calls.add_rule(refused, call)
-        for name, place in _OF_PROCESSES.items():
+        for name, place in _PROCESS_CALLS.items():
             calls.add_rule(refused, name, pyseccomp.Arg(place, pyseccomp.NE, 0))
         datagrams = pyseccomp.Arg(1, pyseccomp.MASKED_EQ, _KIND_OF_SOCKET, SOCK_DGRAM)  # could reach local services
         calls.add_rule(refused, "socketpair", datagrams)

@@ -57,7 +57,7 @@ class Demand:
 
 
 class AwaitedFuture(Future[Any]):
-    """A future that adds the time for which the caller waits for it to a `demand`, which all futures share."""
+    """A future that measures how long the caller waits for its result. All futures add this time to one `demand`."""
 
     def __init__(self, demand: Demand) -> None:
         super().__init__()

@@ -19,7 +19,7 @@ from behavexplor.execution.checked_imports import import_checked
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.executor import LOCK_STEP, ADSError
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
-from behavexplor.execution.forkserver import slow_modules
+from behavexplor.execution.forkserver import preloaded_modules
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.rollout import LockStep
 from behavexplor.execution.service import Recipe, Service
@@ -206,7 +206,7 @@ def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Rec
         f"{service.__module__}:{service.__qualname__}",
         {**target.to_dict(), **settings},
         batched=EXECUTE,
-        preload=(service.__module__, *slow_modules(target.env, target.ads)),
+        preload=(service.__module__, *preloaded_modules(target.env, target.ads)),
     )
 
 

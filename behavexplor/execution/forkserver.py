@@ -1,4 +1,4 @@
-"""The server process of `multiprocessing`, which imports modules once for all worker processes, its copies."""
+"""The server process of `multiprocessing`. It imports the modules that workers need, and they are copies of it."""
 
 import multiprocessing
 import os
@@ -52,8 +52,8 @@ def clean_start() -> Iterator[None]:
             os.environ[_SAFE_PATH] = safe
 
 
-def slow_modules(env: str, ads: str) -> tuple[str, ...]:
-    """Return the slow modules of an environment and a driving system."""
+def preloaded_modules(env: str, ads: str) -> tuple[str, ...]:
+    """Return what the server process imports for an environment and a driving system, in this order."""
     entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(env, "behavexplor.envs.highway.drawn_vector_env")
     policy = ("behavexplor.ads.sb3.policy",) if is_policy(ads) and not ads.endswith(".npz") else ()
     lazy = "behavexplor.execution.lazy_imports"  # after PyTorch, which looks into all modules and would load lazy ones

@@ -1,6 +1,6 @@
 """The executor for Ray clusters: an actor on each node holds a supervised worker, as on a single machine.
 
-Ray places the actors, and restarts lost ones when it has room. Until then, other actors repeat their calls.
+Ray places the actors, and restarts lost ones when it has room. The calls of a lost actor are made again on another one.
 """
 
 import asyncio
@@ -66,7 +66,8 @@ class Node:
     """The actor on a node: it calls its worker, and answers with tagged bytes, see `behavexplor.execution.messages`.
 
     `ads` is a JSON list of the driving systems that must be equal on all machines. A worker with another `fingerprint`
-    than the campaign's machine refuses all calls. It works in `folder`, that of the campaign, if this node has it.
+    than the campaign's machine refuses all calls. The node works in `folder`, the campaign's working folder, if it has
+    such a folder.
     """
 
     def __init__(self, recipe: Recipe, limits: Limits, ads: bytes, fingerprint: bytes, folder: str) -> None:
@@ -137,14 +138,14 @@ class RayExecutor(Executor):
         self._calls: WeakSet[Future[bytes]] = WeakSet()  # all that someone still waits for
         self._waiting: deque[_Call] = deque()
         self._ready: dict[Any, set[Future[bytes]]] = {}  # the calls of each actor that has begun and is not lost
-        self._timer = Timer(BEGIN_SECONDS, self._enqueue)  # never started: `_begin` replaces it
+        self._timer = Timer(BEGIN_SECONDS, self._enqueue)  # never started: `_await_begin` replaces it
         self._error: Exception | None = None
         self._first: Future[None] = Future()
         # Ray repeats `begin`; calls are repeated on other nodes
         node = self._ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=LOSSES - 1)(Node)
         settings = (recipe, limits, json.dumps(ads).encode(), machine_fingerprint(ads), str(Path.cwd()))
         self._actors = [node.remote(*settings) for _ in range(self.n_nodes)]
-        self._enqueue(self._begin, *self._actors)
+        self._enqueue(self._await_begin, *self._actors)
         try:
             self._first.result()
         except BaseException:
@@ -197,18 +198,18 @@ class RayExecutor(Executor):
         except Exception as error:
             self._give_up(_cluster_error("the cluster cannot be used", error))
 
-    def _begin(self, *actors: Any) -> None:
+    def _await_begin(self, *actors: Any) -> None:
         """Ask actors, which are new or were lost, to tell when they have begun; give up if none is ready in time."""
         for actor in actors:
             self._ready.pop(actor, None)
-            actor.begin.remote().future().add_done_callback(partial(self._enqueue, self._begun, actor))
+            actor.begin.remote().future().add_done_callback(partial(self._enqueue, self._count_as_ready, actor))
         if not self._ready:
             error = ClusterError(f"no node of the cluster has been ready for {BEGIN_SECONDS:g} s")
             self._timer = Timer(BEGIN_SECONDS, self._enqueue, [self._give_up, error])
             self._timer.daemon = True
             self._timer.start()
 
-    def _begun(self, actor: Any, answer: "Future[bytes]") -> None:
+    def _count_as_ready(self, actor: Any, answer: "Future[bytes]") -> None:
         """Count an actor as ready; or give up if it cannot begin, or has a problem."""
         lost = answer.exception()
         problem = _cluster_error("a node cannot begin", lost) if lost else answered_error(answer.result())
@@ -249,12 +250,13 @@ class RayExecutor(Executor):
         return [actor for actor, calls in self._ready.items() if len(calls) < self._calls_at_once]
 
     def _answered(self, actor: Any, call: _Call, answer: "Future[bytes]") -> None:
-        """Pass an answer on; or let a call wait again whose actor is lost, which tells when it is restarted."""
-        self._ready.get(actor, set()).discard(call.future)
+        """Pass an answer on. If its actor is lost, let the call wait again."""
         error = answer.exception()
         losses = call.losses + 1
-        if error is not None and actor in self._ready:  # the first of its calls to fail
-            self._begin(actor)
+        if actor in self._ready:
+            self._ready[actor].discard(call.future)
+            if error is not None:  # the first of its calls to fail; Ray restarts the actor
+                self._await_begin(actor)
         if call.future.done():  # the cluster was given up
             return
         if error is None:
@@ -296,13 +298,22 @@ def _ray_in_cluster(address: str, nodes: int) -> Any:
     if not address:
         options |= {"num_cpus": nodes or available_cores(), "object_store_memory": STORE_BYTES}
     try:
-        if found := _ADDRESS.fullmatch(address):  # without a server, Ray retries for minutes and then exits
-            socket.create_connection((found["host"].strip("[]"), int(found["port"])), ANSWER_SECONDS).close()
+        if found := _ADDRESS.fullmatch(address):
+            _check_server(found["host"].strip("[]"), int(found["port"]))
         ray.init(address=address or "local", include_dashboard=False, **options)
     except (OSError, RuntimeError, ValueError) as error:
         reason = str(error).strip().partition("\n")[0]
         raise InputError(f"The Ray cluster {address or 'on this machine'} cannot be joined: {reason}") from error
     return ray
+
+
+def _check_server(host: str, port: int) -> None:
+    """Check that a server listens at an address. Without one, Ray tries for minutes, and then ends the process.
+
+    Raises:
+        OSError: if none does.
+    """
+    socket.create_connection((host, port), ANSWER_SECONDS).close()
 
 
 def _cluster_error(what: str, error: BaseException) -> ClusterError:

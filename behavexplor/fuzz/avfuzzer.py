@@ -36,9 +36,9 @@ class AVFuzzerOptions:
     """Options of `AVFuzzer`. The defaults are the published values, where the publication states them."""
 
     population: Annotated[int, between(2)] = 4  # number of individuals in a generation
-    crossover_probability: Annotated[float, between(0.01, 1)] = 0.4  # that a pair of individuals swaps one NPC
-    mutation_probability: Annotated[float, between(0.01, 1)] = 0.4  # that one property of one NPC changes
-    patience: Annotated[int, between(1)] = 5  # generations in a row without a better best before a restart
+    crossover_probability: Annotated[float, between(0.01, 1)] = 0.4  # probability that two individuals swap one NPC
+    mutation_probability: Annotated[float, between(0.01, 1)] = 0.4  # probability that one property of one NPC changes
+    patience: Annotated[int, between(1)] = 5  # generations in a row without a better best individual before a restart
     restart_samples: int = 1000  # scenarios drawn at a restart; those farthest from all earlier ones are kept
     local_after: Annotated[int, between(0)] = 2  # generations since start or restart before the local fuzzer may begin
     local_generations: Annotated[int, between(1)] = 5  # number of generations of the local fuzzer

@@ -55,7 +55,7 @@ class Checker:
         return self._checked(case, self._begun(case))
 
     def all_of(self, cases: Sequence[Case]) -> Iterator[CheckedCase]:
-        """Drive many cases at a time, and yield what was checked in order; see `__call__`."""
+        """Drive many cases at a time, and yield the results in the order of the cases; see `__call__`."""
         begun = [self._begun(case) for case in cases]
         for case, future in zip(cases, begun, strict=True):
             yield self._checked(case, future)
@@ -90,8 +90,12 @@ def opened_driver(
 ) -> Iterator[Checker]:
     """Load a driver, and return what drives the cases of a suite with it.
 
-    `ads` is its name, None for that of the suite. With 0 `workers`, this process drives. `trust` has digests of what
-    may run code. The settings are further fields of the `behavexplor.data.target.Target`.
+    Args:
+        suite: the suite.
+        ads: name of the driver; None for that of the suite.
+        workers: greatest number of worker processes; 0 for this process.
+        trust: digests of what may run code.
+        settings: further fields of the `behavexplor.data.target.Target`.
 
     Raises:
         InputError: if the suite names code that the user has not agreed to, the driver cannot be loaded or does not fit
@@ -99,9 +103,10 @@ def opened_driver(
     """
     consent = Consent(tuple(trust), names=() if ads is None else (ads,))
     found = agreed(suite.claim, consent, JUDGED if ads in (None, suite.driver) else JUDGED - {ADS})
-    changed = changes(suite.digests, driver_digests(suite.driver, suite.claim.code)) if ads is None else ""
-    if suite.digests and changed:
-        warnings.warn(f"The driver is not the one that failed in the suite: {changed}", stacklevel=3)
+    if ads is None and suite.digests:
+        changed = changes(suite.digests, driver_digests(suite.driver, suite.claim.code))
+        if changed:
+            warnings.warn(f"The driver is not the one that failed in the suite: {changed}", stacklevel=3)
     target = suite.target(ads or suite.driver, trust=consent.trust, modules=found.modules, **settings)
     with start_executor(target, workers) as executor:
         specs = load_specs(suite.specs)

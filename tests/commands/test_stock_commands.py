@@ -3,6 +3,7 @@
 import json
 import shutil
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 import yaml
 from gymnasium.spaces import Box, Discrete
 
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
-from behavexplor.commands import main
+from behavexplor.commands import evaluate, main
 from behavexplor.data.trace import Trace
 from tests.ads.sb3.models import make_model
 
@@ -191,6 +193,28 @@ def test_controls_that_cannot_drive_in_an_environment_are_left_out(tmp_path, cap
     assert "Without the control 'always SLOWER', which cannot drive here: " in shown.err
     assert "always SLOWER" not in shown.out
     assert "Straight" in shown.out
+
+
+def test_a_rate_of_a_control_itself_is_decided(tmp_path, capsys):
+    """The control took the place of the driver, and the exit code said "below" of what was not decided."""
+    arguments = ["evaluate", "--env", "roundabout-v0", "--ads", "careful", "--scenarios", "5", "--workers", "0"]
+    assert main([*arguments, "--below", "0.001", "--json", str(tmp_path / "a.json")]) == 4
+    assert "Not decided: collision in none of 5 scenarios" in capsys.readouterr().out
+    found = json.loads((tmp_path / "a.json").read_text())
+    assert found["decision"]["verdict"] == ""
+    assert set(found["beside"]) == {"always SLOWER", "always IDLE", "always FASTER"}
+
+
+def test_a_driver_of_the_same_name_as_a_control_is_shown_beside_it(monkeypatch):
+    def evaluated(target, *_, **__):
+        return (None, target.ads, False)
+
+    monkeypatch.setattr(evaluate, "_evaluated", evaluated)
+    monkeypatch.setattr(evaluate, "_beside", lambda target, *_, **__: {"careful": replace(target, ads="careful")})
+    run = evaluate._Run(1, 0, 0, True, None, None)
+    config = CampaignConfig(env="roundabout-v0", ads="policies/careful")
+    found = evaluate._evaluations(config, run, controls=True)
+    assert found == {"policies/careful": "policies/careful", "careful": "careful"}
 
 
 def test_a_driver_that_leaves_the_road_is_reported_and_drawn(tmp_path, capsys):

@@ -16,10 +16,10 @@ input()
 LOADED = "[name in sys.modules for name in ('highway_env', 'pandas.core', 'matplotlib.figure')]"
 WORKER = f"""
 import multiprocessing
-from behavexplor.execution.forkserver import share_imports, slow_modules
+from behavexplor.execution.forkserver import share_imports, preloaded_modules
 
 if __name__ == "__main__":
-    share_imports(slow_modules("intersection-straight", "constant"))
+    share_imports(preloaded_modules("intersection-straight", "constant"))
     with multiprocessing.get_context("forkserver").Pool(1) as pool:
         print(pool.apply(eval, ["{LOADED}".replace("sys", "__import__('sys')")]))
 """

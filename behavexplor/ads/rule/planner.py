@@ -38,7 +38,10 @@ _STORED_NAMES: Final = MappingProxyType({"maneuver": "manoeuvre"})  # the key in
 
 
 class RulePlanner:
-    """A planner of rules and search that drives the ego's route among other vehicles."""
+    """A planner of rules and search that drives the ego's route among other vehicles.
+
+    Its `parameters` include its weaknesses.
+    """
 
     observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
     action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
@@ -91,16 +94,17 @@ class RulePlanner:
 
 @kernel
 def _plan_batch(
-    path: Path, ways: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers, actions: Floats
+    path: Path, own_ways: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers, actions: Floats
 ) -> None:
     """Make a decision for each ego that is present, and fill in the actions of all."""
-    ways = LaneGraph(ways.lanes.copy(), ways.tails, ways.around, ways.beside)  # the spare lane is overwritten
+    # a copy of the lanes, because the spare one is overwritten
+    ways = LaneGraph(own_ways.lanes.copy(), own_ways.tails, own_ways.around, own_ways.beside)
     n_npcs = scenes.shape[1] - 1
-    graph, nodes = empty_station_time(n_npcs), empty_nodes()
+    station_time, nodes = empty_station_time(n_npcs), empty_nodes()
     others = np.empty((n_npcs, N_OTHER_COLUMNS))
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:
-            plan_once(Surroundings(path, ways, scenes[i], others, graph, nodes, p), memories[i])
+            plan_once(Surroundings(path, ways, scenes[i], others, station_time, nodes, p), memories[i])
         fill_action(memories[i].last_acceleration, memories[i].last_steering, actions[i])
 
 

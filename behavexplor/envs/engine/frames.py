@@ -41,7 +41,7 @@ def give_command(world: World, scene: Scene, first: float, second: float) -> Non
     """Begin a decision: add its time and frames to the episode's, and give the ego its command.
 
     `first` is the ego's acceleration [m/s2], and `second` its steering [rad]; for meta-actions, the first is the index
-    of the maneuver in `MANEUVERS`.
+    of the maneuver in `behavexplor.data.conventions.MANEUVERS`.
     """
     rules, episode = world.rules[0], scene.episode
     episode.time += rules.policy_period
@@ -70,7 +70,7 @@ def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, fram
                 keep_lane_and_speed(network, vehicle, scene.routes[i], scene.traits[i].length, station, offset)
             elif kind != PLAIN and not vehicle.crashed:
                 drive(network, scene, i)
-        if rules.regulation_period > 0:
+        if rules.regulation_period > 0:  # right of way at intersections
             episode.road_frames += 1
             if episode.road_frames % rules.regulation_period == 0:
                 enforce_rules(network, scene)

@@ -130,13 +130,14 @@ def is_after_end(lane: Lane, station: float) -> bool:
 def closest_lane(network: Network, likely: int, x: float, y: float, heading: float) -> tuple[int, float, float]:
     """Return the lane that is closest in position and heading, and the coordinates on it [m].
 
-    This is `RoadNetwork.get_closest_lane_index`: of several lanes that are equally close, the first. `likely` is a lane
-    that is probably close. It saves time, but does not change the result.
+    The lane is that of `RoadNetwork.get_closest_lane_index`: if several are equally close, the first of them. `likely`
+    is a lane that is probably close. It saves time, but does not change the result.
     """
     best, coordinates = likely, lane_coordinates(network.lanes[likely], x, y)
-    apart = _distance(network.lanes[likely], *coordinates)
-    near = network.lanes[likely].near if apart <= NEAR_LIMIT else ALL_NEAR
-    if _is_alone(network, near, likely, x, y, apart + math.pi):  # at any heading
+    likely_distance = _distance(network.lanes[likely], *coordinates)
+    # at a point so near the lane, only those in its `near` can be closer
+    near = network.lanes[likely].near if likely_distance <= NEAR_LIMIT else ALL_NEAR
+    if _is_alone(network, near, likely, x, y, likely_distance + math.pi):  # at any heading
         return best, *coordinates
     nearest = _distance_with_heading(network.lanes[likely], *coordinates, heading)
     for i in range(len(network.lanes)):
@@ -219,7 +220,7 @@ def _least_distance_beyond_arc(lane: Lane, dx: float, dy: float, distance: float
 
 @kernel_inner
 def note_places(network: Network, scene: Scene) -> None:
-    """Note where each vehicle and obstacle is on its closest lane."""
+    """Note where each vehicle and obstacle is on its closest lane, so that it is not computed again in this frame."""
     scratch = scene.scratch
     for i in range(scene.episode.n_vehicles + scene.episode.n_obstacles):
         vehicle = scene.vehicles[i]
