@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import behavexplor
 from behavexplor.api.rate_folder import CARD, OUTCOMES, PICTURE, RateFolder, impact
 from behavexplor.api.run import Run
 from behavexplor.campaign.config import campaign_config
+from behavexplor.campaign.folder_format import DATABASE
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 from behavexplor.evaluation import BLOCK, estimate_rates, failing, start_judge
@@ -101,6 +103,35 @@ def test_another_evaluation_is_refused(tmp_path):
     RateFolder(tmp_path, CONFIG)
     with pytest.raises(InputError, match="belongs to another evaluation"):
         RateFolder(tmp_path, campaign_config({"env": "roundabout-v0", "ads": "careful"}))
+
+
+def test_two_evaluations_do_not_write_into_one_folder(tmp_path):
+    """Both appended their outcomes, which were counted twice then."""
+    first = RateFolder(tmp_path, CONFIG)
+    with pytest.raises(InputError, match="is in use"):
+        RateFolder(tmp_path, CONFIG)
+    with pytest.raises(InputError, match="is in use"):
+        behavexplor.evaluate("constant:FASTER", "roundabout-v0", scenarios=1, out=tmp_path)
+    first.close()
+    behavexplor.evaluate("constant:FASTER", "roundabout-v0", scenarios=1, out=tmp_path)  # though it has written a lock
+    with pytest.raises(KeyboardInterrupt) as held:  # whose traceback keeps all that was in use
+        behavexplor.evaluate("constant:FASTER", "roundabout-v0", scenarios=2, out=tmp_path, observe=interrupt)
+    behavexplor.evaluate("constant:FASTER", "roundabout-v0", scenarios=2, out=tmp_path)
+    assert held.value.args == ("now",)
+
+
+def interrupt(_):
+    raise KeyboardInterrupt("now")
+
+
+def test_failures_of_which_a_full_disk_left_none_are_driven_again(tmp_path):
+    whole = behavexplor.evaluate("constant:FASTER", "roundabout-v0", scenarios=20, out=tmp_path)
+    database = tmp_path / "failures" / DATABASE
+    for path in database.parent.glob(f"{DATABASE}*"):
+        path.unlink()
+    database.touch()
+    assert behavexplor.evaluate("constant:FASTER", "roundabout-v0", scenarios=20, out=tmp_path) == whole
+    assert len(Run(tmp_path / "failures").records) == whole.failed > 0
 
 
 def test_a_damaged_file_is_named(tmp_path):

@@ -4,6 +4,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from math import inf
 from pathlib import Path
 from typing import Any, Final
@@ -80,8 +81,9 @@ def evaluate(  # noqa: PLR0913 - one argument for each choice
     values = {"env": name, "ads": given.name, "env_config": given_config(changes, env_config), **settings}
     config = campaign_config({**values, "seed": seed})
     count = worker_count(given, config.target, workers)
-    folder = None if out is None else RateFolder(Path(out), config)
-    with in_this_process(count):
+    with ExitStack() as stack:
+        folder = None if out is None else stack.enter_context(closing(RateFolder(Path(out), config)))
+        stack.enter_context(in_this_process(count))
         executor = start_judge(config.target, count, given.driver)
         try:
             logical = logical_of_target(executor, config.env)
@@ -157,7 +159,10 @@ def board(
         check_said_twice(entry, settings, str(policies))
         values = {**settings, **entry, "scenarios": scenarios, "out": folder / name, "alpha": alpha}
         source, ads = values.pop("source", ""), values.pop("ads")
-        evaluate(ads, **values)
+        try:
+            evaluate(ads, **values)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
         cards.append({**json.loads((folder / name / f"{CARD}.json").read_text()), "name": name, "source": source})
         if observe is not None:
             observe(len(cards))

@@ -1,8 +1,9 @@
 """The folder of an evaluation: its outcomes, its failures as a run, and a card of what may be said of the driver."""
 
 import json
+import weakref
 from collections.abc import Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, replace
 from itertools import islice
 from operator import itemgetter
@@ -13,7 +14,8 @@ import numpy as np
 
 from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.folder_format import CONFIG
+from behavexplor.campaign.database_file import lock_folder
+from behavexplor.campaign.folder_format import CONFIG, LOCK
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import identity_of
@@ -46,18 +48,20 @@ class RateFolder:
     """The folder of an evaluation: a new one, or one in which the same evaluation goes on.
 
     The configuration says the driver, its environment and the seed of the scenarios. `run` is the run folder of the
-    failures, if there are any.
+    failures, if there are any. The folder is locked against other evaluations until `close` is called.
 
     Raises:
-        InputError: if the folder cannot be used, or belongs to another evaluation.
+        InputError: if the folder cannot be used, is in use, or belongs to another evaluation.
     """
 
     def __init__(self, path: Path, config: CampaignConfig) -> None:
         with writing(f"The folder {path}"):
             self.path = make_folder(path)
-            has_other_files = any(path.iterdir()) and not (path / OUTCOMES).is_file()
+            has_other_files = {one.name for one in path.iterdir()} - {LOCK} and not (path / OUTCOMES).is_file()
         if has_other_files:  # some of them would be replaced
             raise InputError(f"{path} is not empty, and holds no evaluation that could go on: choose another folder")
+        with writing(f"The folder {path}"):
+            self.close = weakref.finalize(self, lock_folder(path).close)
         identity = identity_of(config)
         self._config = config
         self._driver = {"digests": dict(identity.digests), "libraries": dict(identity.libraries)}
@@ -80,8 +84,9 @@ class RateFolder:
         found = islice(failing(self.file, logical, self._config.seed, n), MOST_STORED)
         lines = [json.dumps(scenario.to_dict(), separators=(",", ":")) + "\n" for _, scenario in found]
         goes_on = (self.run / CONFIG).is_file()
-        if not lines or (goes_on and summarize(self.run).executions >= len(lines)):
-            return
+        with suppress(InputError):  # a full disk may have left a run without any execution
+            if not lines or (goes_on and summarize(self.run).executions >= len(lines)):
+                return
         listed = self.path / SCENARIOS
         with writing(listed):
             write_durably(listed, "".join(lines))

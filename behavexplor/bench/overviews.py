@@ -152,7 +152,7 @@ def _mixture(campaigns: Sequence[Summary]) -> tuple[Value, ...]:
     if not found:
         return ()
     shares = [100 * summary.mutations[0] / sum(summary.mutations) for summary in found]
-    return len(found), estimate(shares), estimate([summary.assignments for summary in found])
+    return len(found), estimate(shares, most=100.0), estimate([summary.assignments for summary in found])
 
 
 def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
@@ -183,7 +183,7 @@ def _correlated(found: Sequence[Summary]) -> tuple[Value, ...]:
     own = [one.r for summary in found if (one := correlation(summary.mutants))]
     if pooled is None or not own:
         return ()
-    cells: tuple[Value, ...] = (len(own), pooled.n, pooled.r, p_text(pooled.p), estimate(own, least=-1.0))
+    cells: tuple[Value, ...] = (len(own), pooled.n, pooled.r, p_text(pooled.p), estimate(own, least=-1.0, most=1.0))
     return (*cells, *((passed.n, passed.r, p_text(passed.p)) if passed else (None, None, None)))
 
 
@@ -265,8 +265,8 @@ def _forecast_cells(made: Sequence[Forecast]) -> tuple[Value, ...]:
         len(found),
         estimate([one.executions for one in early]),
         estimate([one.found for one in early]),
-        estimate([100 * one.new_chance for one in early]),
-        estimate([100 * one.new for one in found]),
+        estimate([100 * one.new_chance for one in early], most=100.0),
+        estimate([100 * one.new for one in found], most=100.0),
         estimate([one.found + one.unseen for one in early]),
         estimate([one.total for one in found]),
         sum(one.holds for one in found),

@@ -75,7 +75,8 @@ def table_by_method(
 
 def mean(found: Sequence[Summary], figure: Figure) -> Estimate:
     """Return the mean of a figure over campaigns."""
-    return estimate([figure(summary) for summary in found])
+    most = 100.0 if figure is novelty else math.inf  # a share in per cent
+    return estimate([figure(summary) for summary in found], most=most)
 
 
 def p_text(value: float) -> str:

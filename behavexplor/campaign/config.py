@@ -242,7 +242,8 @@ def stamped_folder(name: str, root: Path = RUNS) -> Path:
 def point_to_latest(folder: Path) -> None:
     """Let the link `LATEST` in `RUNS` lead to a run folder, if that is in `RUNS` itself and the system has links."""
     link = folder.parent / LATEST
-    if folder.parent != RUNS or (link.exists() and not link.is_symlink()):  # something of the user's
+    is_users = link.exists() and not link.is_symlink()
+    if folder.parent != RUNS or is_users or folder.is_symlink():  # a link, perhaps this one, leads to a run already
         return
     new = folder.parent / f".{LATEST}-{os.getpid()}"
     with suppress(OSError):

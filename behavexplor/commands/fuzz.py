@@ -239,6 +239,9 @@ def fuzz(
         for warning in ready.warnings:
             display.say(f"Warning: {warning}")
         code = _run(ready.campaign, ready.store, display, chosen.method, text)
+        if code == OK and not ready.campaign.progress.executions:
+            say(f"{program()}: Nothing was driven within a budget of {chosen.budget}", file=sys.stderr)
+            return EXECUTION_FAILED
         if ready.campaign.progress.executions and ready.store.lost is None:
             code = _checked(code, ready.campaign.progress, folder, checks, output)
         return code

@@ -2,7 +2,9 @@
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Self
@@ -161,14 +163,14 @@ class Suite:
         return Claim(Path(SUITE), {**values, "env_config": config}, code, self.driver, hint=", or name it by --ads")
 
     def write(self, folder: Path) -> None:
-        """Write the suite and its test file into a folder.
+        """Write the suite and its test file into a folder, or nothing if that fails.
 
         Raises:
             InputError: if the folder is not new or empty, or cannot be written.
         """
         check_free(folder)
         remember(own_digests(self.claim))  # without it, the suite must be trusted, as on another machine
-        with writing(folder):
+        with writing(folder), _all_or_nothing(folder):
             make_folder(folder, CASES)
             for case in self.cases:
                 write_durably(case.file(folder), _case_text(case))
@@ -184,6 +186,17 @@ class Suite:
                 values["digests"] = digests
             config = {"env_config": dict(self.env_config)} if self.env_config else {}
             write_durably(folder / SUITE, _yaml({"format": SUITE_FORMAT, **values, **config}))
+
+
+@contextmanager
+def _all_or_nothing(folder: Path) -> Iterator[None]:
+    """Remove what was written into a folder, which was new or empty, if writing fails."""
+    try:
+        yield
+    except OSError:
+        shutil.rmtree(folder / CASES, ignore_errors=True)
+        (folder / TEST).unlink(missing_ok=True)
+        raise
 
 
 def check_free(folder: Path) -> None:

@@ -90,6 +90,12 @@ def test_a_driver_that_fails_is_ranked_with_its_errors(tmp_path):
     assert text.index('id="careful"') < text.index('id="lost"')
 
 
+def test_the_entry_whose_driver_cannot_be_used_is_named(tmp_path):
+    entries = {"good": {"ads": "idm", "env": "lane-follow"}, "bad": {"ads": "idm", "env": "lane-follow", "traffc": 1}}
+    with pytest.raises(InputError, match=r"^bad: .*traffc"):
+        behavexplor.board(entries, tmp_path, scenarios=1, workers=0)
+
+
 def test_a_folder_of_policies_is_listed_by_names():
     found = listed("docs/data/policies")
     assert found["roundabout"] == {"ads": "docs/data/policies/roundabout.zip"}

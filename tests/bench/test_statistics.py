@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -19,6 +20,7 @@ from behavexplor.bench.statistics import (
     size,
     van_elteren,
 )
+from behavexplor.bench.table import mean, novelty
 
 LEAST = {(3, 3): 0.1, (5, 5): 2 / 252, (2, 7): 2 / 36, (10, 10): 2 / 184756, (1, 9): 1.0}
 few = st.lists(st.integers(0, 6), min_size=2, max_size=4)
@@ -29,6 +31,14 @@ def test_an_estimate_is_the_mean_with_students_interval():
     assert (found.n, found.mean) == (5, 3.0)
     half = 2.7764451 * math.sqrt(2.5 / 5)  # t of 4 degrees of freedom, from the printed tables
     assert (found.low, found.high) == pytest.approx((3 - half, 3 + half))
+
+
+def test_an_interval_is_cut_where_no_value_can_be():
+    found = estimate([0.5, -0.9], least=-1.0, most=1.0)
+    assert (found.low, found.high) == (-1.0, 1.0)
+    assert estimate([1, 9]).low == 0.0
+    assert mean([SimpleNamespace(novelty_rate=rate) for rate in (0.9, 1.0)], novelty).high == 100.0
+    assert mean([SimpleNamespace(novelty_rate=rate) for rate in (0.9, 1.0)], lambda one: one.novelty_rate).high > 1.0
 
 
 def test_one_value_has_no_interval_and_equal_ones_an_empty_one():

@@ -211,6 +211,9 @@ def test_the_latest_run_has_a_name_of_its_own(tmp_path, monkeypatch):
     for name in ("first", "second"):
         point_to_latest(tmp_path / name)
         assert (tmp_path / "latest").readlink() == Path(name)
+    (tmp_path / "second").mkdir()
+    point_to_latest(tmp_path / "latest")  # a run that is resumed by that name
+    assert (tmp_path / "latest").readlink() == Path("second")
     (tmp_path / "latest").unlink()
     (tmp_path / "latest").mkdir()
     point_to_latest(tmp_path / "third")

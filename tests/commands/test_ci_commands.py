@@ -10,7 +10,7 @@ import gymnasium
 import pytest
 
 from behavexplor.campaign.store import Store
-from behavexplor.commands import OK, main
+from behavexplor.commands import EXECUTION_FAILED, OK, main
 from behavexplor.envs import making
 
 FUZZ = ["fuzz", "--workers", "0", "--unconfined", "--method", "uniform", "--seed", "5"]
@@ -27,6 +27,12 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ci")
     assert main([*SEARCH, "--out", str(folder / "run"), "--json", str(folder / "summary.json")]) == 0
     return folder / "run", json.loads((folder / "summary.json").read_text())
+
+
+def test_a_budget_in_which_nothing_was_driven_is_no_check_that_passes(tmp_path, capsys):
+    arguments = [*FUZZ, "--ads", "tests.drivers:cruiser", "--quiet", "--budget", "0.0001s", "--fail-above", "0"]
+    assert main([*arguments, "--out", str(tmp_path / "run")]) == EXECUTION_FAILED
+    assert "Nothing was driven within a budget of 0.0001s" in capsys.readouterr().err
 
 
 def test_a_summary_is_written_as_json(finished):

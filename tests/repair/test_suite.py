@@ -1,5 +1,6 @@
 """Regression suites: written from a run, read again, and driven."""
 
+import errno
 import re
 import shutil
 import subprocess
@@ -12,8 +13,10 @@ import torch
 import yaml
 
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
+from behavexplor.data.durable import write_durably
 from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.errors import InputError
+from behavexplor.repair import cases
 from behavexplor.repair.cases import CASES, SUITE, TEST, Case, Suite
 from tests.triage.test_triage import fuzz
 
@@ -95,6 +98,25 @@ def test_a_test_file_of_the_user_is_not_overwritten(tmp_path, capsys):
     with pytest.raises(InputError, match="is not empty"):
         Suite(env="lane-change", driver="idm").write(tmp_path)
     assert (tmp_path / TEST).read_text() == "mine"
+
+
+def test_a_suite_that_cannot_be_written_leaves_nothing_behind(made, tmp_path, monkeypatch):
+    suite, written = Suite.read(made / "suite"), []
+
+    def write(path, content):
+        written.append(path)
+        if path.name == TEST:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        write_durably(path, content)
+
+    monkeypatch.setattr(cases, "write_durably", write)
+    with pytest.raises(InputError, match="No space left on device"):
+        suite.write(tmp_path / "other")
+    assert len(written) > 1
+    assert list((tmp_path / "other").iterdir()) == []
+    monkeypatch.undo()
+    suite.write(tmp_path / "other")
+    assert Suite.read(tmp_path / "other").cases == suite.cases
 
 
 def test_a_run_without_failures_makes_no_suite(tmp_path, capsys):
