@@ -148,7 +148,7 @@ def lock_folder(folder: Path) -> IO[str]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.close()
-            raise InputError(f"{folder} is in use by another campaign: wait until it ends, or stop it") from None
+            raise InputError(f"{folder} is in use by another command: wait until it ends, or stop it") from None
     return file
 
 

@@ -399,7 +399,7 @@ def _descendants(pid):
 def test_a_run_folder_belongs_to_one_campaign_at_a_time(killed):
     _, refused, _ = killed
     assert refused.returncode == 2
-    assert "is in use by another campaign" in refused.stderr
+    assert "is in use by another command" in refused.stderr
 
 
 def test_workers_end_with_the_campaign(killed):
