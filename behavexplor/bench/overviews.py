@@ -25,9 +25,7 @@ from behavexplor.judge.discovery import Discovery
 
 Pair = tuple[str, str, str, str]  # environment, ADS, and two methods
 FORECAST_AFTER: Final = 0.1  # share of a campaign before its forecast
-FORECAST_SPAN: Final = (
-    0.1  # number of executions in which new classes are counted, as a share of those before the forecast
-)
+FORECAST_SPAN: Final = 0.1  # executions in which new classes are counted, as a share of those before the forecast
 FORECAST_LEAST: Final = 50  # executions before a forecast; fewer tell nothing about the classes that are left
 _FORECAST_COLUMNS = tuple(
     map(Column, ("n", "After", "Classes", "Chance %", "Then new %", "Total, forecast", "Total, found", "Within"))
