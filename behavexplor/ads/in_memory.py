@@ -34,7 +34,9 @@ class GivenDriver:
         """
         if isinstance(env, str):
             return named_env(env, self.name)
-        return env or (named_env(None, self.name) if self.is_named else self.env)
+        if env is not None:
+            return env
+        return named_env(None, self.name) if self.is_named else self.env
 
 
 def given_driver(given: Any) -> GivenDriver:

@@ -22,7 +22,7 @@ from behavexplor.campaign.config import RUNS, check_said_twice
 from behavexplor.campaign.opening import stopped_by_signals
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.grids import text
+from behavexplor.commands.plain_tables import text
 from behavexplor.commands.shared_flags import Switch, Trust
 from behavexplor.commands.wording import clock, counted, say, wrapped
 from behavexplor.data.durable import make_folder, write_durably, writing

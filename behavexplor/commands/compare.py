@@ -19,8 +19,8 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Meter
-from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
+from behavexplor.commands.plain_tables import grid, plain_text
 from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience
 from behavexplor.commands.wording import say, wrapped
 from behavexplor.data.durable import write_durably, writing

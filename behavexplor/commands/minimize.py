@@ -9,7 +9,7 @@ import tyro
 
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.grids import grid, plain_text
+from behavexplor.commands.plain_tables import grid, plain_text
 from behavexplor.commands.shared_flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.wording import counted, hanging, say, wrapped
 from behavexplor.errors import InputError, sentence

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from behavexplor.commands.grids import grid, plain_text
+from behavexplor.commands.plain_tables import grid, plain_text
 from behavexplor.commands.wording import wrapped
 from behavexplor.data.trace import ARRIVED
 from behavexplor.evaluation import Evaluation

@@ -15,7 +15,7 @@ from behavexplor.campaign.provenance import Consent, agreed, own_digests, rememb
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Meter
-from behavexplor.commands.grids import grid, plain_text
+from behavexplor.commands.plain_tables import grid, plain_text
 from behavexplor.commands.shared_flags import Switch, Trust, check_unchanged, flag
 from behavexplor.commands.trainings import begin_training, progress_line, resumed_config
 from behavexplor.commands.wording import say, wrapped

@@ -10,7 +10,7 @@ from rich.table import Table
 from behavexplor.campaign.confirmation import not_confirmed, read_confirmations
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.grids import grid, plain_text
+from behavexplor.commands.plain_tables import grid, plain_text
 from behavexplor.commands.shared_flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.wording import class_count, counted, hanging, say, wrapped
 from behavexplor.errors import sentence

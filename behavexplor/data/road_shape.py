@@ -23,8 +23,6 @@ DASH, PERIOD = 3.0, 6.0  # length of a dash between lanes, and distance of the s
 MOST_POINTS: Final = 1_000_000  # of a road, dashes included
 FARTHEST: Final = 1e7  # greatest coordinate [m]
 _FIELDS: Final = ("surfaces", "striped", "borders")
-NO_LINE, BROKEN, SOLID = "none", "broken", "solid"  # markings, besides the kinds of illegal lines
-_ON_LINE: Final = 0.01  # greatest distance of a lane's border from the line that marks it [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +91,10 @@ def _line(name: str, points: Any) -> Floats:
     if line.ndim != 2 or line.shape[1] != 2 or len(line) < 2 or not (np.abs(line) <= FARTHEST).all():
         raise InputError(f"{name} of the shape of a road must be lines of at least two points within {FARTHEST:g} m")
     return line
+
+
+NO_LINE, BROKEN, SOLID = "none", "broken", "solid"  # markings, besides the kinds of illegal lines
+_ON_LINE: Final = 0.01  # greatest distance of a lane's border from the line that marks it [m]
 
 
 @dataclass(frozen=True)

@@ -321,7 +321,7 @@ def _check_learned(told: _Told, search: SearchMethod) -> None:
 
 
 def _check_resuming(build: Callable[[int], SearchMethod], logical: LogicalScenario, executions: int) -> None:
-    """Check that a fresh search, told the same results, continues like the first one, as a resumed campaign does."""
+    """Check that a fresh search continues like the first one after the same results: a campaign is resumed so."""
     search = build(SEEDS[0])
     told = _campaign(search, logical, executions // 2, IN_FLIGHT[0])
     fresh = build(SEEDS[0])

@@ -117,13 +117,15 @@ class Cause:
     # spec; "unknown" if no single weakness is to blame
     primary: str
     necessary: tuple[str, ...]  # weaknesses without which the violation does not happen, upstream first
-    sufficient: tuple[str, ...]  # weaknesses of the violated spec that suffice without its others, upstream first
+    # weaknesses of the violated spec that cause it without any other weakness of that spec, upstream first
+    sufficient: tuple[str, ...]
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:
-    """Return the cause of the first violated spec, in the order R1, R2, R3; None without one, or for another ADS.
+    """Return the cause of the first violated spec, in the order R1, R2, R3.
 
-    The simulation must have the ADS and the environment of the recorded execution, and the trace its decision log.
+    It is None if no spec is violated, or the ADS is not the rule planner. The simulation must have the ADS and the
+    environment of the recorded execution, and the trace its decision log.
     """
     planner = simulation.ads
     event = violation_event(trace, judge(trace).violated)

@@ -77,7 +77,7 @@ class RunTriage:
         missing = unconfirmed(self._config, self._run, store.records())
         tasks = max(len(self.waiting), len(missing))
         if not tasks:
-            return self._written(store)
+            return self._write_all(store)
         workers = min(self._workers, tasks)
         with start_evaluator(Examiner, self._config, TIME_LIMIT, workers, self._driver) as executor:
             for done, finding in enumerate(self._findings(store, executor, AHEAD * workers), 1):
@@ -85,7 +85,7 @@ class RunTriage:
                 if done % WRITTEN_AFTER == 0:
                     self._triage(self._known.values()).write(self._run)
                 observe(done)
-            found = self._written(store)
+            found = self._write_all(store)
             for _ in confirmed(executor, store, missing):  # writes what highway-env says of each
                 pass
         return found
@@ -96,7 +96,7 @@ class RunTriage:
         for number, future in zip(self.waiting, in_order(executor, calls, ahead), strict=True):
             yield _finding(self._run, store.execution(number), future)
 
-    def _written(self, store: Store) -> Triage:
+    def _write_all(self, store: Store) -> Triage:
         """Write all findings, with the weaknesses that the rule planner has reached, and return them."""
         found = self._triage(self._known[number] for number in self._failures)
         if self._is_rule_planner:

@@ -14,7 +14,7 @@ from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Failure, Mutant, Summary, correlation, summaries_csv
 from behavexplor.bench.table import Column, Table, marked, table_csv, table_markdown
 from behavexplor.bench.tables import tables
-from behavexplor.commands.grids import text
+from behavexplor.commands.plain_tables import text
 
 ENVS = ("lane-follow", "lane-change")
 EXPERIMENT = experiment_config(

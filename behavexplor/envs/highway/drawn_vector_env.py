@@ -278,7 +278,7 @@ def check_compiled(env: DrawnEnv, *, rewards: bool) -> None:
 
 
 def _arrivals(infos: dict[str, Any]) -> Bools | None:
-    """Return whether each ego has arrived; None if the environment has no destination; see `episode_record`."""
+    """Return whether each ego has arrived, see `has_arrived` of `episode_record`; None without a destination."""
     if "is_success" in infos:
         return np.asarray(infos["is_success"], dtype=bool)
     arrived = infos.get("rewards", {}).get("arrived_reward")  # in the engine, of an intersection alone
@@ -309,9 +309,9 @@ def decision_order(env: DrawnEnv) -> tuple[DrawPlace, ...]:
 def forms_of(scenario: DrawnScenario, order: Sequence[DrawPlace]) -> Floats:
     """Return the standard forms of a scenario's draws in their order, shape (n,)."""
     draws: dict[str, Any] = dict(scenario.draws)
-    try:
+    try:  # the usual case, which is much faster
         return np.array([draws[name][position] for name, position, _ in order])
-    except (KeyError, IndexError):  # some of them come from the scenario's seed, by a generator
+    except (KeyError, IndexError):  # some draws are missing: a generator makes them from the scenario's seed
         pass
     made = DrawnGenerator(draws, scenario.seed, __file__)
     given = ((draws.get(place.name, ()), place) for place in order)
