@@ -58,9 +58,8 @@ class RateFolder:
         with writing(f"The folder {path}"):
             self.path = make_folder(path)
             has_other_files = {one.name for one in path.iterdir()} - {LOCK} and not (path / OUTCOMES).is_file()
-        if has_other_files:  # some of them would be replaced
-            raise InputError(f"{path} is not empty, and holds no evaluation that could go on: choose another folder")
-        with writing(f"The folder {path}"):
+            if has_other_files:  # some of them would be replaced
+                raise InputError(f"{path} is not empty, and holds no evaluation that could go on: name another folder")
             self.close = weakref.finalize(self, lock_folder(path).close)
         identity = identity_of(config)
         self._config = config

@@ -43,9 +43,6 @@ class AbstractTraces:
         self._starts = np.zeros(16, dtype=np.int64)  # of each abstract trace, and the end of the last one
         self._count = 0
 
-    def __len__(self) -> int:
-        return self._count
-
     def append(self, labels: Labels) -> None:
         """Add an abstract trace, shape (length,)."""
         end = int(self._starts[self._count]) + len(labels)

@@ -87,8 +87,8 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     env = named_env(given.get("env"), first) or CampaignConfig.env
     # the given method and budget are for the search only: both campaigns draw `scenarios` uniformly
     config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})
-    method, budget = (given.get(name, default) for name, default in _SEARCH.items())
-    searching = replace(config, method=method, budget=budget, batch=CampaignConfig.batch)
+    of_search = {name: given.get(name, default) for name, default in _SEARCH.items()}
+    searching = replace(config, **of_search, batch=CampaignConfig.batch)
     if search:
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
     folder = out or stamped_folder("compare")

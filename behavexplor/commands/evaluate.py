@@ -188,11 +188,11 @@ def _evaluations(config: CampaignConfig, run: _Run, *, controls: bool) -> dict[s
     """Return the evaluation of the driver and of what it is compared with, by the headings of their columns."""
     logical, evaluation, draws = _evaluated(config.target, run)
     name = Path(config.ads).name
-    found = {config.ads if name in _CONTROLS else name: evaluation}
-    beside_it = run._replace(scenarios=min(run.scenarios, SCENARIOS), goal=None, folder=None)
+    found = {config.ads if name in _CONTROLS else name: evaluation}  # a file named like a control is shown by its path
+    shorter_run = run._replace(scenarios=min(run.scenarios, SCENARIOS), goal=None, folder=None)
     for heading, beside in _beside(config.target, logical, draws=draws, controls=controls).items():
         # if the driver is itself this control, it is not driven again
-        rates = None if heading in found else _rates_beside(heading, beside, beside_it)
+        rates = None if heading in found else _rates_beside(heading, beside, shorter_run)
         if rates is not None:
             found[heading] = rates
     return found

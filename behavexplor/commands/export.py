@@ -21,7 +21,7 @@ from behavexplor.commands.shared_flags import NewFolder, RunFolder, Trust
 from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.durable import make_folder, writing
-from behavexplor.data.road_shape import RoadPlan
+from behavexplor.data.road_plan import RoadPlan
 from behavexplor.errors import InputError
 from behavexplor.exchange.scenes import SceneFile, movers_of, write_table
 from behavexplor.report.marks import outcome

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
-from behavexplor.data.road_shape import RoadPlan, plan_of_map
+from behavexplor.data.road_plan import RoadPlan, plan_of_map
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.envs.making import make_env, make_recorded
 from behavexplor.errors import missing_library

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from behavexplor.data.array_types import Floats
-from behavexplor.data.road_shape import SineLane
+from behavexplor.data.road_plan import SineLane
 from behavexplor.data.roadmap import Lane
 
 REAR_AXLE: Final = 0.3  # distance of the rear axle behind the center of a written vehicle, as a share of its length

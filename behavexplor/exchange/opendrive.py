@@ -24,7 +24,8 @@ from scipy.sparse.csgraph import connected_components
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import wrapped
 from behavexplor.data.durable import write_durably
-from behavexplor.data.road_shape import BROKEN, DASH, NO_LINE, PERIOD, SOLID, PlannedLane, RoadPlan, SineLane, part_of
+from behavexplor.data.road_plan import BROKEN, NO_LINE, SOLID, PlannedLane, RoadPlan, SineLane, part_of
+from behavexplor.data.road_shape import DASH, PERIOD
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane
 from behavexplor.exchange.axes import mirrored_lane
 

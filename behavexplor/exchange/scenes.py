@@ -1,6 +1,6 @@
 """Scenes: what an exchanged file says about one execution, in this package's frame; and the table of a trace.
 
-`openscenario` makes files of scenes, `scene_reading` scenes of files, and `restoring` scenarios of scenes.
+`openscenario` writes scenes to files, `scene_reading` reads them from files, and `restoring` makes scenarios of them.
 """
 
 import hashlib
@@ -172,7 +172,7 @@ def _until_parked(scenario: Scenario, roadmap: RoadMap, movers: list[Mover]) -> 
 
 
 def write_table(scenario: Scenario, trace: Trace, path: Path) -> None:
-    """Write a trace as a table with the columns `COLUMNS`: one row for each frame and vehicle present in it."""
+    """Write a trace as a CSV table with the columns `COLUMNS`: one row for each frame and vehicle present in it."""
     pose = mirrored(np.concatenate([trace.position, trace.heading[..., None]], axis=2))
     motion = np.concatenate([pose, mirrored_points(trace.velocity)], axis=2)
     motion = np.round(motion, DIGITS) + 0.0  # no negative zeros
@@ -193,7 +193,7 @@ def waypoint_text(script: NPC) -> str:
 def read_script(name: str, kind: str, route: str, text: str) -> NPC:
     """Return a scripted vehicle of type `kind`, on the route named `route`, with the waypoints of a text.
 
-    The text is as `waypoint_text` writes it. `name`, that of the vehicle in its scene, is for error messages.
+    The text is as `waypoint_text` writes it. `name` is the vehicle's name in its scene, for error messages.
 
     Raises:
         InputError: if the text does not describe waypoints.

@@ -68,6 +68,7 @@ def _seal_files() -> bool:
         return False
     sealed = ~(AccessFS.EXECUTE | AccessFS.READ_DIR | AccessFS.IOCTL_DEV)
     of_a_file = AccessFS.READ_FILE | AccessFS.WRITE_FILE | AccessFS.TRUNCATE
+    # rules of Landlock only allow something, so reading is allowed everywhere but in /dev
     readable = [place for place in Path("/").iterdir() if place.name != "dev" and not place.is_symlink()]
     devices = [device for pattern in _DEVICES for device in Path("/dev").glob(pattern)]
     try:

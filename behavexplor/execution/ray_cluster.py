@@ -140,14 +140,14 @@ class RayExecutor(Executor):
         self._ready: dict[Any, set[Future[bytes]]] = {}  # the calls of each actor that has begun and is not lost
         self._timer = Timer(BEGIN_SECONDS, self._enqueue)  # never started: `_await_begin` replaces it
         self._error: Exception | None = None
-        self._first: Future[None] = Future()
+        self._first_ready: Future[None] = Future()
         # Ray repeats `begin`; calls are repeated on other nodes
         node = self._ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=LOSSES - 1)(Node)
         settings = (recipe, limits, json.dumps(ads).encode(), machine_fingerprint(ads), str(Path.cwd()))
         self._actors = [node.remote(*settings) for _ in range(self.n_nodes)]
         self._enqueue(self._await_begin, *self._actors)
         try:
-            self._first.result()
+            self._first_ready.result()
         except BaseException:
             self.shutdown(wait=False)
             raise
@@ -218,8 +218,8 @@ class RayExecutor(Executor):
         elif self._error is None:
             self._timer.cancel()
             self._ready[actor] = set()
-            if not self._first.done():
-                self._first.set_result(None)
+            if not self._first_ready.done():
+                self._first_ready.set_result(None)
 
     def _unanswered(self) -> list["Future[bytes]"]:
         return [future for future in self._calls if not future.done()]
@@ -279,8 +279,8 @@ class RayExecutor(Executor):
         """Fail all calls that were or will be submitted."""
         self._timer.cancel()
         self._error = self._error or error
-        if not self._first.done():
-            self._first.set_exception(self._error)
+        if not self._first_ready.done():
+            self._first_ready.set_exception(self._error)
         for future in self._unanswered():
             if future.running() or future.set_running_or_notify_cancel():
                 future.set_exception(self._error)
@@ -308,11 +308,7 @@ def _ray_in_cluster(address: str, nodes: int) -> Any:
 
 
 def _check_server(host: str, port: int) -> None:
-    """Check that a server listens at an address. Without one, Ray tries for minutes, and then ends the process.
-
-    Raises:
-        OSError: if none does.
-    """
+    """Check that a server listens at an address. Without one, Ray tries for minutes, and then ends the process."""
     socket.create_connection((host, port), ANSWER_SECONDS).close()
 
 

@@ -125,7 +125,7 @@ def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Caus
     """Return the cause of the first violated spec, in the order R1, R2, R3.
 
     It is None if no spec is violated, or the ADS is not the rule planner. The simulation must have the ADS and the
-    environment of the recorded execution, and the trace its decision log.
+    environment of the recorded execution. The trace must have its decision log.
     """
     planner = simulation.ads
     event = violation_event(trace, judge(trace).violated)
@@ -173,7 +173,7 @@ def _causes(
 
     If the violation happens with all weaknesses of the violated spec switched off, none of them is sufficient.
     """
-    planner = simulation.ads
+    planner = simulation.ads  # a `RulePlanner`, as `find_cause` has checked
     decisions = recent_decisions(trace, event.frame, outlook)
     begin = int(decisions[0]) if len(decisions) else 0
     until = None if event.spec == R3 else float(trace.time[event.frame]) + AFTERMATH

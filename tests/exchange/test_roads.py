@@ -10,7 +10,7 @@ from highway_env.road.road import RoadNetwork
 from lxml import etree
 from scipy.integrate import quad
 
-from behavexplor.data.road_shape import SineLane, part_of, plan_of_map
+from behavexplor.data.road_plan import SineLane, part_of, plan_of_map
 from behavexplor.data.roadmap import Lane
 from behavexplor.envs.highway.course import road_plan, road_shape
 from behavexplor.envs.making import make_registered

@@ -15,7 +15,7 @@ from behavexplor.commands import main
 from behavexplor.commands.roads import road_of
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.npc_motion import motion_table
-from behavexplor.data.road_shape import plan_of_map
+from behavexplor.data.road_plan import plan_of_map
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ABSENT, Trace

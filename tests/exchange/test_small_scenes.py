@@ -9,7 +9,7 @@ import pytest
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
 from behavexplor.commands.export import _new_files, _Scenes
-from behavexplor.data.road_shape import plan_of_map
+from behavexplor.data.road_plan import plan_of_map
 from behavexplor.errors import InputError
 from behavexplor.exchange.openscenario import write_scene
 from behavexplor.exchange.scene_reading import read_scene

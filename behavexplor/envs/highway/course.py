@@ -10,7 +10,8 @@ from highway_env.road.lane import SineLane as HighwaySineLane
 from highway_env.road.road import RoadNetwork
 
 from behavexplor.data.array_types import Floats
-from behavexplor.data.road_shape import BROKEN, NO_LINE, SOLID, PlannedLane, RoadPlan, RoadShape, SineLane
+from behavexplor.data.road_plan import BROKEN, NO_LINE, SOLID, PlannedLane, RoadPlan, SineLane
+from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.roadmap import Lane
 from behavexplor.errors import InputError
 

@@ -14,7 +14,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from behavexplor.data.drawn_logical import UNIFORM, Draw, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE, DrawnScenario, Setup, Traffic, config_text, sorted_draws
-from behavexplor.data.road_shape import RoadPlan, RoadShape
+from behavexplor.data.road_plan import RoadPlan
+from behavexplor.data.road_shape import RoadShape
 from behavexplor.envs.engine.lock_step_vector_env import chosen_options
 from behavexplor.envs.engine.vehicle_parameters import VehicleClasses
 from behavexplor.envs.highway.course import road_plan, road_shape

@@ -87,7 +87,7 @@ def _make_rules(env: Any) -> Records:
     roadmap, action = env.logical.roadmap, env.action_type
     speeds = action.speed_range if isinstance(action, ContinuousAction) and action.speed_range else None
     table = np.zeros(1, RULES)
-    rules: Any = table[0]
+    rules: Any = table[0]  # a view: setting its fields fills the table
     frequency = env.config["simulation_frequency"]
     rules.min_speed, rules.max_speed = speeds or (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
     rules.frequency = frequency
