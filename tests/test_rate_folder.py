@@ -120,6 +120,14 @@ def test_two_evaluations_do_not_write_into_one_folder(tmp_path):
     assert held.value.args == ("now",)
 
 
+def test_a_folder_that_is_refused_is_not_locked(tmp_path):
+    RateFolder(tmp_path, CONFIG).close()
+    with pytest.raises(InputError, match="belongs to another evaluation") as held:  # whose traceback has the folder
+        RateFolder(tmp_path, campaign_config({"env": "roundabout-v0", "ads": "careful"}))
+    RateFolder(tmp_path, CONFIG).close()
+    assert held.value
+
+
 def interrupt(_):
     raise KeyboardInterrupt("now")
 

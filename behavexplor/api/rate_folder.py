@@ -57,15 +57,19 @@ class RateFolder:
     def __init__(self, path: Path, config: CampaignConfig) -> None:
         with writing(f"The folder {path}"):
             self.path = make_folder(path)
-            has_other_files = {one.name for one in path.iterdir()} - {LOCK} and not (path / OUTCOMES).is_file()
-            if has_other_files:  # some of them would be replaced
+            if {one.name for one in path.iterdir()} - {LOCK} and not (path / OUTCOMES).is_file():  # one may be replaced
                 raise InputError(f"{path} is not empty, and holds no evaluation that could go on: name another folder")
             self.close = weakref.finalize(self, lock_folder(path).close)
         identity = identity_of(config)
         self._config = config
         self._driver = {"digests": dict(identity.digests), "libraries": dict(identity.libraries)}
         self._subject = {name: getattr(config, name) for name in _SUBJECT}
-        self.file, self.run = OutcomeFile(path / OUTCOMES, {**self._subject, **self._driver}), path / FAILURES
+        self.run = path / FAILURES
+        try:
+            self.file = OutcomeFile(path / OUTCOMES, {**self._subject, **self._driver})
+        except InputError:
+            self.close()  # a notebook keeps the error, and with it this object
+            raise
 
     def store_failures(
         self,

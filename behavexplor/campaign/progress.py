@@ -128,10 +128,7 @@ class Progress:
 
 
 class StageClock:
-    """A clock that adds up the time in each stage.
-
-    `earlier` is the time in each stage before the campaign was resumed [s].
-    """
+    """A clock that adds up the time in each stage [s]. `earlier` has the times before the campaign was resumed."""
 
     def __init__(self, earlier: Mapping[str, float] = MappingProxyType({})) -> None:
         self._earlier = earlier
