@@ -50,7 +50,7 @@ def described(error: BaseException) -> str:
 
 def _class_name(value: object) -> str:
     """Return the name of an object's class, even if its metaclass raises an error when it is asked."""
-    return str(type.__dict__["__name__"].__get__(type(value)))
+    return str(type.__dict__["__name__"].__get__(type(value)))  # `type(value).__name__` asks the metaclass
 
 
 def place_of(error: BaseException) -> str:

@@ -50,8 +50,8 @@ class ADS(Protocol):
             observation: observations, an array of shape (B, ...). If the environment's observation space is
                 gymnasium's `Dict`, a dictionary of such arrays.
             state: state returned by the last call; None in the first call.
-            episode_start: True for each row in which an episode begins, shape (B,). The part of `state` that belongs to
-                such a row must be discarded.
+            episode_start: True for each row in which an episode begins, shape (B,); None if no row does. The part of
+                `state` that belongs to such a row must be discarded.
             deterministic: True if the same input must always give the same actions.
 
         Returns:

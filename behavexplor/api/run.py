@@ -165,7 +165,7 @@ class Run:
     @cached_property
     def config(self) -> CampaignConfig:
         """The configuration of the campaign, as the folder says it. What is executed goes through `_accepted`."""
-        return stored_config(self.folder).says
+        return stored_config(self.folder).unverified
 
     def _accepted(self, runs: Collection[str] = DRIVING, *, goes_on: bool = False) -> CampaignConfig:
         """Return the configuration. Its code under the keys `runs` may be run; see `accepted_run`."""

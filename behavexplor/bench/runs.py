@@ -33,7 +33,7 @@ from behavexplor.execution.evaluator import evaluator_recipe
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.fingerprint import FINGERPRINT, machine_fingerprint
 from behavexplor.execution.pool import WorkerPool
-from behavexplor.execution.ray_cluster import RayExecutor
+from behavexplor.execution.ray_cluster import Limits, RayExecutor
 from behavexplor.execution.service import Recipe, Service
 from behavexplor.execution.start import fewest_workers
 
@@ -200,7 +200,7 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
     folder = root / run.folder
     if not (folder / DATABASE).is_file():
         return RunState(0, finished=False)
-    check_same_campaign(stored_config(folder).says, run, str(folder))
+    check_same_campaign(stored_config(folder).unverified, run, str(folder))
     with closing(Store.read(folder)) as store:
         count, ended = len(store), store.ended
     budget = int(run.config.budget)
@@ -278,7 +278,7 @@ class ExperimentRunner:
         recipe, without_limit = campaign_recipe(run.config.target for run in self._waiting), math.inf
         if not self._cluster:
             return WorkerPool(self._jobs, recipe, without_limit, without_limit), self._jobs
-        executor = RayExecutor(self._cluster, self._jobs, recipe, (without_limit, without_limit), self._ads)
+        executor = RayExecutor(self._cluster, self._jobs, recipe, Limits(without_limit, without_limit), self._ads)
         return executor, executor.n_nodes
 
     def _fill(self, executor: Executor, at_a_time: int) -> None:

@@ -74,8 +74,8 @@ def table_by_method(
 
 
 def mean(found: Sequence[Summary], figure: Figure) -> Estimate:
-    """Return the mean of a figure over campaigns."""
-    most = 100.0 if figure is novelty else math.inf  # a share in per cent
+    """Return the mean of a figure over campaigns. Of the figures, only `novelty` has a greatest value."""
+    most = 100.0 if figure is novelty else math.inf
     return estimate([figure(summary) for summary in found], most=most)
 
 
@@ -150,8 +150,13 @@ def table_csv(table: Table) -> str:
     head = []
     for column, is_estimate in zip(table.columns, estimates, strict=True):
         head += [f"{column.name} {part}" for part in ("mean", "low", "high", "n")] if is_estimate else [column.name]
-    rows = [[cell for value in row for cell in _plain(value)] for row in table.rows]
-    return csv_text([head, *rows])
+    rows: list[list[object]] = [list(head)]
+    for row in table.rows:
+        cells: list[object] = []
+        for value in row:
+            cells += _plain(value)
+        rows.append(cells)
+    return csv_text(rows)
 
 
 def _plain(value: Value) -> list[object]:

@@ -119,7 +119,7 @@ class StoredConfig:
     """
 
     folder: Path
-    says: CampaignConfig  # the configuration in it
+    unverified: CampaignConfig  # the configuration in it
 
 
 def check_said_twice(values: Mapping[str, Any], given: Mapping[str, Any], file: str) -> None:

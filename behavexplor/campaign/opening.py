@@ -84,7 +84,7 @@ def opened(
             used, if the campaign has another revision, or if its driver or other code has changed since it began.
     """
     begun = time.monotonic()
-    check_revision(stored_config(folder).says if resume else config, str(folder))
+    check_revision(stored_config(folder).unverified if resume else config, str(folder))
     if not resume:
         check_free(folder)  # before the driver is loaded, which takes a while
     # both before any code that the configuration names is run
@@ -161,7 +161,7 @@ def _reopened(run: Path, config: CampaignConfig) -> Store:
     store = Store.reopen(run)
     try:
         _check_budget(run, config, len(store))
-        if not _is_shorter(config.budget, stored_config(run).says.budget):
+        if not _is_shorter(config.budget, stored_config(run).unverified.budget):
             store.write_config(config.to_yaml())
     except InputError:
         store.close()

@@ -129,7 +129,7 @@ def accepted(stored: StoredConfig, consent: Consent = Consent(), runs: Collectio
 
     What the folder says of trust and confinement counts only if this machine has made it, or if the user trusts it.
     """
-    config = stored.says
+    config = stored.unverified
     found = agreed(claim_of(config, stored.folder / CONFIG), consent, runs)
     trust = tuple(digest for digest in consent.trust if digest not in found.digests)
     values = config.stated()

@@ -64,9 +64,8 @@ class RunSummary:
     @property
     def words(self) -> str:
         """What has failed, in words."""
-        kinds = f"{len(self.classes)} class{'' if len(self.classes) == 1 else 'es'}"
         others = words_of_others_faults(self.failed - self.at_fault)
-        return f"{self.failed} failed ({self.failure_rate:.1%}) in {kinds}{others}"
+        return f"{self.failed} failed ({self.failure_rate:.1%}) in {class_count(len(self.classes))}{others}"
 
     @property
     def failure_rate(self) -> float:
@@ -86,8 +85,10 @@ class RunSummary:
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as JSON values."""
         values = {**asdict(self), "failure_rate": self.failure_rate, "at_fault_rate": self.at_fault_rate}
-        values["uniform"] = self.uniform and self.uniform.to_dict()
-        values["classes"] = [{"id": one.id, "words": one.words, **asdict(one)} for one in self.classes]
+        values["uniform"] = None if self.uniform is None else self.uniform.to_dict()
+        values["classes"] = [
+            {"id": one.id, "words": one.words, **asdict(one)} for one in self.classes
+        ]  # words in front
         return values
 
 
@@ -97,16 +98,17 @@ def summarize(run: Path) -> RunSummary:
     Raises:
         InputError: if the folder is not a run folder, or is damaged.
     """
-    config = stored_config(run).says
+    config = stored_config(run).unverified
     budget = Budget.parse(config.budget)
     with closing(Store.read(run)) as store:
         found = Progress(elapsed=store.elapsed)
         for record in store.records():
             found = found.after(record, resumed=True)
-        begun, ended = begun_with(store) or Identity(), store.ended is not None
+        begun = begun_with(store) or Identity()
+        has_ended = store.ended is not None
         beside = UniformRate.stored(store)
     tried = read_confirmations(run)
-    unsure = tuple(not_confirmed(tried))
+    unconfirmed = tuple(not_confirmed(tried))
     return RunSummary(
         env=config.env,
         ads=config.ads,
@@ -115,7 +117,9 @@ def summarize(run: Path) -> RunSummary:
         budget=config.budget,
         executions=found.executions,
         elapsed=found.elapsed,
-        complete=ended or found.executions >= (budget.executions or inf) or found.elapsed >= (budget.seconds or inf),
+        complete=has_ended
+        or found.executions >= (budget.executions or inf)
+        or found.elapsed >= (budget.seconds or inf),
         failed=found.failed,
         at_fault=found.at_fault,
         violations=found.violations,
@@ -123,8 +127,8 @@ def summarize(run: Path) -> RunSummary:
         digests=begun.digests,
         libraries=begun.libraries,
         uniform=own_rate(config.method, found.executions, found.failed, budget, found.elapsed, beside),
-        confirmed=len(tried) - len(unsure),
-        not_confirmed=unsure,
+        confirmed=len(tried) - len(unconfirmed),
+        not_confirmed=unconfirmed,
     )
 
 
@@ -135,6 +139,11 @@ def by_class(records: Iterable[Record]) -> dict[str, list[Record]]:
         if record.violation_class is not None:
             groups.setdefault(record.violation_class, []).append(record)
     return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0].id)))
+
+
+def class_count(number: int) -> str:
+    """Return a number of classes in words."""
+    return "1 class" if number == 1 else f"{number} classes"
 
 
 def words_of_others_faults(count: int) -> str:

@@ -76,7 +76,7 @@ def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on:
     try:
         config = accepted(stored, consent, runs)
     except InputError as refusal:
-        raise _refused(refusal, run, stored.says, goes_on=goes_on) from None
+        raise _refused(refusal, run, stored.unverified, goes_on=goes_on) from None
     begun = _identity_at_start(run) if ADS in runs else None
     if begun is None:
         return config

@@ -18,10 +18,10 @@ from behavexplor.api.observers import PlainConsole
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.confirmation import not_confirmed, read_confirmations
 from behavexplor.campaign.progress import Progress
-from behavexplor.campaign.run_summary import words_of_others_faults
+from behavexplor.campaign.run_summary import class_count, words_of_others_faults
 from behavexplor.campaign.store import Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
-from behavexplor.commands.wording import class_count, clock, hanging, wrapped
+from behavexplor.commands.wording import clock, hanging, wrapped
 from behavexplor.errors import printable, sentence
 from behavexplor.judge.discovery import Discovery
 from behavexplor.judge.specs import ERROR

@@ -64,7 +64,7 @@ def export(
         raise InputError("--npcs routes cannot be given with --format openscenario-1.0, which has no speed profiles")
     with closing(Store.read(run)) as store, writing(f"The folder {out}"):
         chosen = tuple(dict.fromkeys(numbers)) or tuple(record.id for record in store.records() if record.failed)
-        config = stored_config(run).says
+        config = stored_config(run).unverified
         if format != "csv":  # the environment is made for its road; nothing is driven
             config = accepted(stored_config(run), Consent(trust), DRIVING - {ADS})
         with _new_files(out) as draft:

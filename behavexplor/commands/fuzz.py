@@ -31,7 +31,7 @@ from behavexplor.campaign.folder_format import failure_path
 from behavexplor.campaign.opening import opened, stopped_by_signals
 from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.provenance import ALL, Consent
-from behavexplor.campaign.run_summary import RunSummary, summarize
+from behavexplor.campaign.run_summary import RunSummary, class_count, summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
@@ -40,7 +40,7 @@ from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.shared_flags import Switch, check_unchanged, chosen_workers, flag, patience
-from behavexplor.commands.wording import class_count, counted, say, wrapped
+from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ray_cluster import MAX_NODES, parse_cluster
@@ -350,7 +350,7 @@ def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
     fixed = {name: value for name, value in given.items() if name not in ("trust", "budget")}
     if "ads" in fixed:
         fixed["ads"] = os.path.expanduser(fixed["ads"])  # noqa: PTH111 - as in `_new_config`
-    check_unchanged(fixed, stored_config(run).says, "run")
+    check_unchanged(fixed, stored_config(run).unverified, "run")
     names = tuple(value for value in fixed.values() if isinstance(value, str))  # what the user typed may be imported
     consent = Consent(given.get("trust", ()), given.get("unconfined", False), names)
     config = accepted_run(run, consent, ALL, goes_on=True)

@@ -82,10 +82,10 @@ def importing(
 def _check_environment(scene: SceneFile, env: str | None) -> None:
     """Check that a file does not choose which code of other packages is loaded."""
     name = scene.environment
-    is_ours = not env_code(name)
+    is_foreign = bool(env_code(name))
     if env is not None and env != name:
         raise InputError(f"The scene belongs to the environment {name!r}, not to {env!r}")
-    if env is None and not is_ours:
+    if env is None and is_foreign:
         raise InputError(f"The scene belongs to {name!r} of another package: pass --env {name} to load it")
     if scene.scenario is not None and scene.scenario.functional != name:
         raise InputError(f"The scene's scenario belongs to {scene.scenario.functional!r}, and the scene to {name!r}")
@@ -120,8 +120,8 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
         except RuntimeError as error:
             say(f"{program()}: {sentence(f'The scenario could not be executed: {error}')}", file=sys.stderr)
             return EXECUTION_FAILED
-    ended = outcome(result.violated, result.end)
-    say(wrapped(f"{logical.describe(scenario)}: {ended} after {result.duration:.2f} s"))
+    how = outcome(result.violated, result.end)
+    say(wrapped(f"{logical.describe(scenario)}: {how} after {result.duration:.2f} s"))
     if result.violation_class is not None:
         say(f"Class: {result.violation_class}")
     return OK

@@ -63,7 +63,7 @@ class Running:
         return chosen_workers(self.workers)
 
     def accepted_config(self, run: Path) -> AcceptedConfig:
-        """Return the configuration of a run, whose driver drives again and whose specs judge."""
+        """Return the configuration of a run, after a check that the user allows the code of its driver and specs."""
         return accepted_run(run, Consent(self.trust, self.unconfined), JUDGED)
 
 
@@ -78,7 +78,10 @@ def read_env_config(file: Path) -> dict[str, Any]:
 def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
     """Check that flags beside --resume do not change the configuration of what is resumed.
 
-    `given` has their values by the keys of the stored configuration, and `what` names what is resumed, for the message.
+    Args:
+        given: values of the flags, by the keys of the stored configuration.
+        stored: the configuration.
+        what: name of what is resumed, for the message.
 
     Raises:
         InputError: if a value differs.

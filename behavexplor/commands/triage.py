@@ -12,7 +12,7 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.plain_tables import grid, plain_text
 from behavexplor.commands.shared_flags import HowToRun, RunFolder, Switch
-from behavexplor.commands.wording import class_count, counted, hanging, say, wrapped
+from behavexplor.commands.wording import counted, hanging, say, wrapped
 from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Finding, Sighting, Triage, fault_words, tally
@@ -53,7 +53,7 @@ def report(found: Triage) -> str:
     """Return the findings as text for the terminal."""
     flaky = sum(not finding.same_verdict for finding in found.findings)
     again = f"{flaky} did not happen again" if flaky else "all happened again when they were driven again"
-    failures, classes = counted(len(found.findings), "failure"), class_count(len(found.classes))
+    failures, classes = counted(len(found.findings), "failure"), counted(len(found.classes), "class")
     summary = f"{failures} in {found.executions} executions, in {classes}; {again}"
     lines = [
         wrapped(summary),

@@ -14,11 +14,6 @@ def counted(number: int, one: str) -> str:
     return f"{number} {one}" if number == 1 else f"{number} {one}{'es' if one.endswith('s') else 's'}"
 
 
-def class_count(number: int) -> str:
-    """Return a number of classes in words."""
-    return counted(number, "class")
-
-
 def clock(seconds: float) -> str:
     """Return a time span as 1:02:03 or 2:03."""
     minutes, rest = divmod(round(seconds), 60)

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterable
 from concurrent.futures import Future
-from itertools import chain
 from typing import Any, Final, NamedTuple, Self
 
 from behavexplor.errors import InputError, described
@@ -19,7 +18,8 @@ REFUSED: Final = b"I"  # followed by the message of an `InputError`
 FAILED: Final = b"E"  # followed by the message of any other exception
 SUSPECT: Final = b"S"  # the call failed in a batch and must be made again alone
 MOST_ERROR: Final = 100_000  # bytes of an error that are read
-KEY_BYTES: Final = 8  # of the key of a call, and of a length
+KEY_BYTES: Final = 8  # of the key of a call
+SIZE_BYTES: Final = 8  # of the length of a part of a message
 
 
 class Request(NamedTuple):
@@ -42,22 +42,22 @@ class Request(NamedTuple):
 
 
 def packed(parts: Iterable[bytes]) -> bytes:
-    """Return some bytes as one message, for `unpacked`."""
-    return b"".join(chain.from_iterable((len(part).to_bytes(KEY_BYTES), part) for part in parts))
+    """Return parts as one message, each preceded by its length, for `unpacked`."""
+    return b"".join(len(part).to_bytes(SIZE_BYTES) + part for part in parts)
 
 
 def unpacked(message: bytes) -> list[bytes]:
-    """Return the bytes in a message of `packed`.
+    """Return the parts of a message of `packed`.
 
     Raises:
-        ValueError: if it is none.
+        ValueError: if `packed` has not made it.
     """
     parts, begin = [], 0
     while begin < len(message):
-        end = begin + KEY_BYTES + int.from_bytes(message[begin : begin + KEY_BYTES])
+        end = begin + SIZE_BYTES + int.from_bytes(message[begin : begin + SIZE_BYTES])
         if end > len(message):
             raise ValueError("the message is too short")
-        parts.append(message[begin + KEY_BYTES : end])
+        parts.append(message[begin + SIZE_BYTES : end])
         begin = end
     return parts
 
@@ -71,7 +71,7 @@ def answers_in(message: bytes) -> list[tuple[int, bytes]]:
     """Return the answers in a message of a worker, each with its key.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if the message is damaged, or has no answer.
     """
     answers = [(int.from_bytes(part[:KEY_BYTES]), part[KEY_BYTES:]) for part in unpacked(message)]
     if not answers:
@@ -80,18 +80,19 @@ def answers_in(message: bytes) -> list[tuple[int, bytes]]:
 
 
 def error_answer(error: BaseException, place: str = "") -> bytes:
-    """Return the answer for a call that raised; for the place, see `error_words`."""
-    if isinstance(error, ADSError):
-        return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message, "place": error.place}).encode()
-    tag = REFUSED if isinstance(error, InputError) else FAILED
-    return tag + error_words(error, place).encode(errors="replace")
-
-
-def error_words(error: BaseException, place: str = "") -> str:
-    """Return an error in words, and a place after them, such as " (on the node n7)".
+    """Return the answer for a call that raised, with a place after its words, such as " (on the node n7)".
 
     The place is left out of ADS failures and of rejected input.
     """
+    if isinstance(error, ADSError):
+        return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message, "place": error.place}).encode()
+    if isinstance(error, InputError):
+        return REFUSED + str(error).encode(errors="replace")
+    return FAILED + error_words(error, place).encode(errors="replace")
+
+
+def error_words(error: BaseException, place: str = "") -> str:
+    """Return an error in words, with a place as in `error_answer`."""
     if isinstance(error, ADSError | InputError):
         return str(error)
     words = str(error) if type(error) is RuntimeError else described(error)
@@ -110,12 +111,14 @@ def answered_error(answer: bytes) -> Exception | None:
     if tag not in (ADS_FAILED, REFUSED, FAILED):
         raise ValueError("an unknown tag")
     text = content[:MOST_ERROR].decode(errors="replace")  # it may end within a character
-    return _ads_error(text) if tag == ADS_FAILED else (InputError if tag == REFUSED else RuntimeError)(text)
+    if tag == ADS_FAILED:
+        return _ads_error(text)
+    return InputError(text) if tag == REFUSED else RuntimeError(text)
 
 
 def _ads_error(text: str) -> ADSError:
     values = json.loads(text)
-    if not (isinstance(values, dict) and {"kind", "message"} <= {*values} and values["kind"] in ADS_FAILURES):
+    if not (isinstance(values, dict) and {"kind", "message"} <= values.keys() and values["kind"] in ADS_FAILURES):
         raise ValueError("not a failure of an ADS")
     return ADSError(values["kind"], str(values["message"]), str(values.get("place", "")))
 

@@ -47,8 +47,8 @@ class _Task:
     """A call that has not been answered."""
 
     future: Future[Any]
-    function: str
-    data: bytes
+    function: str  # name of the function
+    data: bytes  # its argument
     alone: bool  # whether the call needs a worker to itself
     crashes: int = 0  # number of workers that died while they processed only this call
 
@@ -193,11 +193,17 @@ class WorkerPool(Executor):
                 return
             worker = self._workers[place] = self._workers[place] or _Worker(*self._serving)
             with self._lock:
-                tasks = [self._waiting.popleft()] if self._waiting else []
+                if not self._waiting:
+                    return
+                tasks = [self._waiting.popleft()]
                 while len(tasks) < room and self._waiting and not self._waiting[0].alone:
                     tasks.append(self._waiting.popleft())
-            begun = [one for one in tasks if one.future.running() or one.future.set_running_or_notify_cancel()]
-            worker.ask({next(self._keys): task for task in begun}, self._time_limit)
+            begun = {}
+            for task in tasks:
+                if task.future.running() or task.future.set_running_or_notify_cancel():
+                    begun[next(self._keys)] = task
+            if begun:
+                worker.ask(begun, self._time_limit)
 
     def _free_place(self, *, alone: bool) -> tuple[int | None, int]:
         """Return the place of the least busy worker that can take more calls, None if all are busy; and how many.
@@ -213,9 +219,10 @@ class WorkerPool(Executor):
             usable = ready if any(ready) else started
             share = -(-(sum(loads) + len(self._waiting)) // sum(usable))
             places = [(place, worker) for place, worker in enumerate(self._workers) if worker and usable[place]]
-            free = {place: room for place, worker in places if (room := worker.room(share)) > 0}
+            rooms = {place: worker.room(share) for place, worker in places}
+            free = {place: room for place, room in rooms.items() if room > 0}
         place = min(free, key=lambda place: (loads[place], not ready[place], not started[place]), default=None)
-        return place, free.get(place, 0) if place is not None else 0
+        return (None, 0) if place is None else (place, free[place])
 
     def _listen(self, worker: "_Worker", *, answered: bool) -> None:
         """Process a worker's answer, its death or its timeout."""
@@ -241,10 +248,10 @@ class WorkerPool(Executor):
         elif not worker.is_ready:
             _fail(worker.tasks.values(), InputError(content.decode()))
             self._remove(worker)
-        elif tag == SUSPECT and not worker.tasks[key].alone:
+        elif tag == SUSPECT and not worker.tasks[key].alone:  # a call that was alone cannot be asked to be made alone
             self._again([worker.tasks.pop(key)])
         else:
-            settle(worker.tasks[key].future, answer)
+            settle(worker.tasks[key].future, answer)  # raises if the ADS wrote the answer; the call is repeated then
             del worker.tasks[key]
             if self._recipe.long_calls:
                 self._remove(worker)
@@ -257,7 +264,8 @@ class WorkerPool(Executor):
             return
         calls = len(self._waiting) + sum(len(worker.tasks) for worker in workers)
         capacity = max(worker.capacity for worker in ready)
-        wanted = -(-calls // (capacity if capacity == 1 else BATCHES * capacity))
+        calls_of_worker = capacity if capacity == 1 else BATCHES * capacity  # without batches, none waits in a worker
+        wanted = math.ceil(calls / calls_of_worker)
         if self._demand.is_high and len(ready) == len(workers):
             wanted = max(wanted, 2 * len(workers))
         for place, worker in enumerate(self._workers):
@@ -267,14 +275,14 @@ class WorkerPool(Executor):
 
     def _lost(self, worker: "_Worker", kind: str, message: str) -> None:
         """Remove a worker that has died or hangs, and repeat or fail its calls."""
-        was_asking = bool(worker.asking.value) or (kind == "crash" and (worker.is_confined or worker.has_closed()))
+        is_ads_to_blame = bool(worker.asking.value) or (kind == "crash" and (worker.is_confined or worker.has_closed()))
         self._remove(worker)
         tasks = list(worker.tasks.values())
         if worker.capacity == 1 or worker.is_alone:
             for task in tasks:
                 task.crashes += 1
             if kind == "hang" or not worker.is_ready or any(task.crashes >= CRASHES for task in tasks):
-                _fail(tasks, _error(worker, kind, message, was_asking=was_asking))
+                _fail(tasks, _error(worker, kind, message, is_ads_to_blame=is_ads_to_blame))
                 return
         self._again(tasks)
 
@@ -300,7 +308,7 @@ class _Worker:
         context: Any = multiprocessing.get_context("forkserver" if CAN_SHARE else "spawn")
         self.connection: Connection
         self.connection, theirs = context.Pipe()
-        self.asking = context.RawValue("b", 0)  # 1 while the worker calls its ADS; see `share_asking`
+        self.asking = context.RawValue("b", 0)  # shared; 1 while the worker calls its ADS, see `asking.share_asking`
         self._together = recipe.together
         self.is_confined = is_confined  # third-party code runs in it, which is to blame if it dies at any time
         self.output = WorkerOutput() if is_confined and CAN_LEAVE else None  # others print on our terminal
@@ -316,8 +324,10 @@ class _Worker:
         with suppress(OSError):  # the worker has died, which `_listen` will notice
             self.connection.send_bytes(STARTED)
         self.tasks: dict[int, _Task] = {}  # unanswered calls by key
-        self.capacity = 1  # calls in one batch
+        self.capacity = 1  # number of calls that it can process in one batch
         self.is_ready = False  # whether it has loaded its service
+        self.patience = math.inf  # time limit for the next answer [s]
+        self.deadline = math.inf  # time at which the answer is overdue, on the monotonic clock [s]
         self._wait_for(BEGIN_SECONDS)
 
     @property
@@ -328,12 +338,15 @@ class _Worker:
     @property
     def is_alone(self) -> bool:
         """True if the worker processes a call that needs it to itself."""
-        return len(self.tasks) == 1 and next(iter(self.tasks.values())).alone
+        return any(task.alone for task in self.tasks.values())
 
     def room(self, share: int) -> int:
-        """Return how many more calls the worker can take beside others, up to a share of all calls."""
-        ahead = self._together - 1 if self.capacity > 1 else 0  # as many answers may wait for others
-        return 0 if self.is_alone else min(self.capacity + ahead, share) - len(self.tasks)
+        """Return how many more calls the worker can take beside others, up to a share of all calls; none if below 1."""
+        if self.is_alone:
+            return 0
+        # answers may wait in the worker for others, to be sent together; their places in the batch are free already
+        unsent = self._together - 1 if self.capacity > 1 else 0
+        return min(self.capacity + unsent, share) - len(self.tasks)
 
     def ask(self, tasks: Mapping[int, _Task], time_limit: float) -> None:
         """Send calls to the worker, by their keys."""
@@ -383,7 +396,6 @@ class _Worker:
             self.output.pass_on(ended=True)
 
     def _wait_for(self, seconds: float) -> None:
-        # time limit for the next answer [s], and when it is overdue on the monotonic clock [s]
         self.patience, self.deadline = seconds, time.monotonic() + seconds
 
 
@@ -395,11 +407,11 @@ def _limit_waiting(connection: Connection) -> None:
         same.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", PAUSE_SECONDS, 0))
 
 
-def _error(worker: _Worker, kind: str, message: str, *, was_asking: bool) -> Exception:
+def _error(worker: _Worker, kind: str, message: str, *, is_ads_to_blame: bool) -> Exception:
     """Return the exception for the calls of a lost worker."""
     if not worker.is_ready:
         return InputError(f"The ADS cannot be loaded: {message}")
-    return ADSError(kind, message) if was_asking else WorkerDiedError(f"a worker ended: {message}")
+    return ADSError(kind, message) if is_ads_to_blame else WorkerDiedError(f"a worker ended: {message}")
 
 
 def _fail(tasks: Iterable[_Task], error: Exception) -> None:

@@ -33,7 +33,6 @@ LOSSES: Final = 3  # number of lost nodes after which a call fails
 ANSWER_SECONDS: Final = 10.0  # time limit for a cluster to answer, and for its nodes to end their workers [s]
 STORE_BYTES: Final = 128 * 2**20  # size of a local cluster's object store, used for answers of more than 100 kB
 
-Limits = tuple[float, float]  # time limit of one call [s], and memory limit of one worker [GiB]
 _ADDRESS = re.compile(r"(?:ray://)?(?P<host>\[[0-9a-fA-F:.]+\]|[\w.-]+):(?P<port>\d{1,5})")
 
 
@@ -62,6 +61,13 @@ def parse_cluster(text: str) -> str:
     return address
 
 
+class Limits(NamedTuple):
+    """Limits of a node's worker."""
+
+    time: float  # of one call [s]
+    memory: float  # of the process [GiB]
+
+
 class Node:
     """The actor on a node: it calls its worker, and answers with tagged bytes, see `behavexplor.execution.messages`.
 
@@ -76,7 +82,7 @@ class Node:
         sys.path.append(str(Path.cwd()))  # for the user's own drivers and specs
         self._place = f" (on the node {socket.gethostname()})"
         try:
-            self._pool = WorkerPool(1, recipe, *limits)
+            self._pool = WorkerPool(1, recipe, limits.time, limits.memory)
             problem = difference(self._pool.submit(FINGERPRINT, ads).result(), fingerprint)
         except Exception as error:
             problem = error_words(error, self._place)
@@ -97,11 +103,11 @@ class Node:
             return error_answer(error, self._place)
 
     async def stop(self) -> None:
-        """Ask the worker of a node that is ready to end a long call early."""
+        """Ask the worker to end a long call early. Only a node that is ready has one."""
         self._pool.stop()
 
     async def end(self) -> None:
-        """End the worker of a node that is ready."""
+        """End the worker's process, by force if need be. Only a node that is ready has one."""
         await asyncio.to_thread(self._pool.shutdown, wait=False)
 
 
@@ -118,8 +124,10 @@ class RayExecutor(Executor):
     """Calls functions of a service on the nodes of a Ray cluster. Each node has a supervised worker of its own.
 
     `cluster` is a name as in `parse_cluster`, and `nodes` is the number of nodes (0: one for each core). Each worker is
-    made by `recipe`, within `limits`. If there is room for fewer nodes, the others begin when there is. The service
-    must have the function "fingerprint". The driving systems of the names `ads` must be equal on all machines.
+    made by `recipe`, within `limits`. If the cluster has room for fewer nodes, the others begin when there is room. The
+    service must have the function "fingerprint". `ads` are names of driving systems that must be equal on all machines.
+
+    One thread makes all decisions. Other threads, such as Ray's, tell it what to do next.
 
     Raises:
         InputError: if there is no such cluster, if Ray is not installed, or if the first node to answer cannot load the
@@ -129,16 +137,17 @@ class RayExecutor(Executor):
 
     def __init__(self, cluster: str, nodes: int, recipe: Recipe, limits: Limits, ads: tuple[str, ...]) -> None:
         self._ray = _ray_in_cluster(parse_cluster(cluster), nodes)
-        self.n_nodes = nodes or max(min(int(self._ray.cluster_resources().get("CPU", 0)), MAX_NODES), 1)
-        self._thread = ThreadPoolExecutor(1)  # makes all decisions; others, such as Ray's threads, tell it what is next
+        cores = int(self._ray.cluster_resources().get("CPU", 0))
+        self.n_nodes = nodes or max(min(cores, MAX_NODES), 1)
+        self._thread = ThreadPoolExecutor(1)
         self._calls_at_once = 1 if recipe.long_calls else sys.maxsize  # of one actor
         self._left = False  # whether `shutdown` has been called
-        self._stopped = False  # whether the calls are to end, after which lost calls are not repeated
         # only the thread changes this and the following fields
+        self._stopped = False  # whether the calls are to end, after which lost calls are not repeated
         self._calls: WeakSet[Future[bytes]] = WeakSet()  # all that someone still waits for
         self._waiting: deque[_Call] = deque()
-        self._ready: dict[Any, set[Future[bytes]]] = {}  # the calls of each actor that has begun and is not lost
-        self._timer = Timer(BEGIN_SECONDS, self._enqueue)  # never started: `_await_begin` replaces it
+        self._calls_of_ready: dict[Any, set[Future[bytes]]] = {}  # calls of each actor that has begun and is not lost
+        self._timer: Timer | None = None  # gives up while no actor is ready; see `_await_begin`
         self._error: Exception | None = None
         self._first_ready: Future[None] = Future()
         # Ray repeats `begin`; calls are repeated on other nodes
@@ -163,8 +172,9 @@ class RayExecutor(Executor):
     @property
     def room(self) -> int:  # type: ignore[override]
         """Number of further calls for the nodes that are ready, as if each worked in batches of `LOCK_STEP`."""
-        calls = list(self._ready.values())
-        return BATCHES * LOCK_STEP * len(calls) - sum(map(len, calls)) - len(self._waiting)
+        calls_of_nodes = list(self._calls_of_ready.values())  # at once: the thread changes it meanwhile
+        n_given = sum(len(calls) for calls in calls_of_nodes)
+        return BATCHES * LOCK_STEP * len(calls_of_nodes) - n_given - len(self._waiting)
 
     def stop(self) -> None:
         """Cancel calls that have not started, and ask running calls to end early."""
@@ -175,13 +185,14 @@ class RayExecutor(Executor):
         if self._left:
             return
         if wait:
-            wait_for(self._thread.submit(self._unanswered).result())
+            unanswered = self._thread.submit(self._unanswered).result()
+            wait_for(unanswered)
         self._left = True
         self._enqueue(self._stop)
         self._enqueue(self._give_up, ClusterError("the cluster has been left"))
         self._thread.shutdown()
         with suppress(Exception):  # Ray may be gone
-            ends = [actor.end.remote() for actor in self._ready]
+            ends = [actor.end.remote() for actor in self._calls_of_ready]
             self._ray.wait(ends, num_returns=len(ends), timeout=ANSWER_SECONDS)
         self._ray.shutdown()  # this ends the actors
 
@@ -201,9 +212,9 @@ class RayExecutor(Executor):
     def _await_begin(self, *actors: Any) -> None:
         """Ask actors, which are new or were lost, to tell when they have begun; give up if none is ready in time."""
         for actor in actors:
-            self._ready.pop(actor, None)
+            self._calls_of_ready.pop(actor, None)
             actor.begin.remote().future().add_done_callback(partial(self._enqueue, self._count_as_ready, actor))
-        if not self._ready:
+        if not self._calls_of_ready:
             error = ClusterError(f"no node of the cluster has been ready for {BEGIN_SECONDS:g} s")
             self._timer = Timer(BEGIN_SECONDS, self._enqueue, [self._give_up, error])
             self._timer.daemon = True
@@ -211,13 +222,14 @@ class RayExecutor(Executor):
 
     def _count_as_ready(self, actor: Any, answer: "Future[bytes]") -> None:
         """Count an actor as ready; or give up if it cannot begin, or has a problem."""
-        lost = answer.exception()
-        problem = _cluster_error("a node cannot begin", lost) if lost else answered_error(answer.result())
+        error = answer.exception()
+        problem = answered_error(answer.result()) if error is None else _cluster_error("a node cannot begin", error)
         if problem is not None:
             self._give_up(problem)
         elif self._error is None:
-            self._timer.cancel()
-            self._ready[actor] = set()
+            if self._timer is not None:
+                self._timer.cancel()
+            self._calls_of_ready[actor] = set()
             if not self._first_ready.done():
                 self._first_ready.set_result(None)
 
@@ -240,28 +252,29 @@ class RayExecutor(Executor):
             # a future is running already if its first node was lost
             if not call.future.running() and not call.future.set_running_or_notify_cancel():
                 continue
-            actor = min(free, key=lambda actor: len(self._ready[actor]))
-            self._ready[actor].add(call.future)
+            actor = min(free, key=lambda actor: len(self._calls_of_ready[actor]))
+            self._calls_of_ready[actor].add(call.future)
             answer = actor.ask.options(max_task_retries=0).remote(call.function, call.data).future()
             answer.add_done_callback(partial(self._enqueue, self._answered, actor, call))
 
     def _free(self) -> list[Any]:
         """Return the actors that are ready and have room for a call."""
-        return [actor for actor, calls in self._ready.items() if len(calls) < self._calls_at_once]
+        return [actor for actor, calls in self._calls_of_ready.items() if len(calls) < self._calls_at_once]
 
     def _answered(self, actor: Any, call: _Call, answer: "Future[bytes]") -> None:
         """Pass an answer on. If its actor is lost, let the call wait again."""
         error = answer.exception()
-        losses = call.losses + 1
-        if actor in self._ready:
-            self._ready[actor].discard(call.future)
+        if actor in self._calls_of_ready:
+            self._calls_of_ready[actor].discard(call.future)
             if error is not None:  # the first of its calls to fail; Ray restarts the actor
                 self._await_begin(actor)
         if call.future.done():  # the cluster was given up
             return
         if error is None:
             settle(call.future, answer.result())
-        elif losses < LOSSES and not self._stopped:
+            return
+        losses = call.losses + 1
+        if losses < LOSSES and not self._stopped:
             self._waiting.append(call._replace(losses=losses))
         else:
             call.future.set_exception(_cluster_error(f"a node was lost in attempt {losses} of the call", error))
@@ -272,12 +285,13 @@ class RayExecutor(Executor):
         for future in self._unanswered():
             if future.cancel():
                 future.set_running_or_notify_cancel()  # wakes those that wait for it, which `cancel` alone does not
-        for actor in self._ready:
+        for actor in self._calls_of_ready:
             actor.stop.remote()
 
     def _give_up(self, error: Exception) -> None:
         """Fail all calls that were or will be submitted."""
-        self._timer.cancel()
+        if self._timer is not None:
+            self._timer.cancel()
         self._error = self._error or error
         if not self._first_ready.done():
             self._first_ready.set_exception(self._error)

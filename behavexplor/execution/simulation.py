@@ -40,7 +40,8 @@ FILE, MODULE, MEMORY = "file", "module", "memory"  # where the ADS of a simulati
 _MISSING: Final = object()
 _METHOD: Final = (Callable, "a method")
 _NUMBER: Final = (Real, "a number")
-_ATTRIBUTES: Final[Mapping[str, tuple[Any, str]]] = {  # by name: the kind of what a driver declares, and its words
+# attributes that a driver can have, by name: the type that each must be of, and that type in words
+_ATTRIBUTES: Final[Mapping[str, tuple[Any, str]]] = {
     "observation": (Mapping, "a mapping, such as {'type': 'Kinematics'}"),
     "action": (Mapping, "a mapping, such as {'type': 'DiscreteMetaAction'}"),
     "policy_frequency": _NUMBER,
@@ -113,12 +114,13 @@ class Simulation:
             trained = {key: value for key, value in trained.items() if key not in ignored}
             given = {key: value for key, value in given.items() if key not in ignored}
         if in_highway_env and hasattr(self.ads, "fitted"):
-            given = _answer(self.ads, "fitted", {**default_config(env), **given}, needed="keys")  # a mapping
+            given = _answer(self.ads, "fitted", {**default_config(env), **given}, needed="keys")  # as a mapping has
         self.env = make_env(env, {**declared, **trained, **given}, traffic, render_mode)
         if hasattr(self.ads, "seeing"):
             self.ads = _answer(self.ads, "seeing", self.env.observation_space, self.env.action_space, needed="predict")
         self.logical = logical_of(self.env, env)
-        self.plain, self.stochastic = "", stochastic
+        self.plain = ""
+        self.stochastic = stochastic
         self._single: LockStep | None = None
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {brief(ads)} cannot draw its actions: leave out --stochastic")
@@ -132,8 +134,8 @@ class Simulation:
         Scripted vehicles are simulated in a compiled environment with one slot, if it supports the configuration, and
         highway-env's environments as they are.
         """
-        if not self.logical.has_original:
-            self._single = self._single or self.lock_step(1)
+        if not self.logical.has_original and self._single is None:  # with scripted vehicles
+            self._single = self.lock_step(1)
         if self._single is None:
             return rollout(self.env, self.driver(1), scenario)
         self._single.give_up()  # ends the episode in which the driver has failed before, if it has
@@ -169,9 +171,9 @@ class Simulation:
     def lock_step(self, count: int, *, short: bool = False) -> LockStep | None:
         """Return episodes in lock-step; None if the environment has no compiled form.
 
-        `count` is the number of episodes at a time, 1 if the ADS takes one observation at a time. With `short`, traces
-        are those of the vector environment's attribute `short_traces`, without the ADS's log; the result is None if it
-        has no such attribute.
+        `count` is the number of episodes at a time, 1 if the ADS takes one observation at a time. With `short`, the
+        flag `short_traces` of the vector environment is set, and the ADS's log is not recorded; the result is None if
+        the vector environment has no such flag.
         """
         envs: Any = self.compiled(count)
         if envs is None or (short and not hasattr(envs, "short_traces")):
@@ -198,8 +200,8 @@ class Simulation:
     def vector_env(self, count: int, **changes: Any) -> VectorEnv[Any, Any, Any] | None:
         """Return a vector environment with the observations and actions of the ADS.
 
-        It is None if the environment has none, or none that supports this configuration. The changes are keys of the
-        environment's configuration that replace those of the ADS.
+        It is None if the environment has none, or none that supports this configuration. `count` is the number of
+        episodes at a time. `changes` are keys of the environment's configuration that replace those of the ADS.
         """
         try:
             return make_vector_env(self.env, count, changes)
@@ -209,13 +211,13 @@ class Simulation:
 
 
 def _check_attributes(ads: Any) -> None:
-    """Refuse attributes of a driver that are of the wrong kind or cannot be looked at; they can be anything."""
-    for name, (kind, words) in _ATTRIBUTES.items():
+    """Refuse a driver with an attribute of the wrong type, or with one that raises an error when it is read."""
+    for name, (wanted, words) in _ATTRIBUTES.items():
         try:
             value = getattr(ads, name, _MISSING)
         except Exception as error:  # a property can raise anything
             raise InputError(f"The driver's {name} cannot be looked at: {described(error)}{place_of(error)}") from error
-        if value is not _MISSING and not isinstance(value, kind):
+        if value is not _MISSING and not isinstance(value, wanted):
             raise InputError(f"The driver's {name} must be {words}, got {brief(value)}")
 
 
@@ -321,7 +323,7 @@ def compile_kernels(env: str) -> None:
     """
     with_scripted_vehicles = {environment_id(name) for name in behavexplor.FUNCTIONAL_SCENARIOS}
     if environment_id(env) not in with_scripted_vehicles:
-        _compile_engine(env)
+        _make_once(env)
         return
     simulation = Simulation(env, "constant")
     scenario = simulation.logical.sample(np.random.default_rng(0))
@@ -337,8 +339,8 @@ def compile_kernels(env: str) -> None:
     simulation.close()
 
 
-def _compile_engine(env: str) -> None:
-    """Compile the engine, which all of highway-env's environments share. Any other environment is only made."""
+def _make_once(env: str) -> None:
+    """Make an environment and its vector environment. Of one of highway-env's, this compiles the engine they share."""
     made = make_env(env, {})
     try:
         envs = make_vector_env(made, 1, {})

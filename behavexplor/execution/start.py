@@ -20,7 +20,7 @@ from behavexplor.execution.evaluator import LOGICAL, PREFLIGHT, evaluator_recipe
 from behavexplor.execution.executor import BATCHES, Executor
 from behavexplor.execution.fingerprint import FINGERPRINT
 from behavexplor.execution.pool import WorkerPool
-from behavexplor.execution.ray_cluster import RayExecutor
+from behavexplor.execution.ray_cluster import Limits, RayExecutor
 from behavexplor.execution.service import Batch, Recipe, Service
 from behavexplor.execution.simulation import logical_scenario
 
@@ -48,7 +48,7 @@ def start_executor(
         return _start_here(recipe, driver)
     check_name(target.ads)
     if cluster:
-        limits = (target.time_limit, target.memory_limit)
+        limits = Limits(target.time_limit, target.memory_limit)
         return RayExecutor(cluster, workers, recipe, limits, (target.ads,))
     if workers < fewest_workers(target):
         raise InputError(

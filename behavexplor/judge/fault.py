@@ -39,8 +39,9 @@ def is_at_fault(fault: str | None) -> bool:
 
 
 def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
-    """Return those of the specs in `violated`, named as in `Verdict`, for which the ego itself is to blame.
+    """Return the violations of a trace that are the ego's own.
 
+    `violated` are the names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
     A collision that another vehicle caused is left out. It also ended the drive, so a missed destination is left out
     with it.
     """
@@ -50,7 +51,11 @@ def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
 
 
 def collision_fault(trace: Trace, violated: Sequence[str]) -> Fault | None:
-    """Return the verdict on the collision for which a trace is a failure; None if R1 is not first in `violated`."""
+    """Return the verdict on the collision for which a trace counts as a failure.
+
+    `violated` are the names of the violated specs, as in `behavexplor.judge.specs.Verdict`. The result is None if R1 is
+    not the first of them.
+    """
     return contact_fault(trace) if violated and violated[0] == Collision().name else None
 
 

@@ -213,7 +213,8 @@ def _line_distance(trace: Trace) -> float:
 def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
     """Return the least of n distances [m], given cheap bounds. A value of at most a trace's resolution counts as 0.
 
-    `lower` are lower bounds, shape (n,). `upper` is an upper bound of the least. `exact` computes distances by index.
+    `lower` are lower bounds, shape (n,). `upper` is an upper bound of the least. `exact` is a function from indices to
+    exact distances.
     """
     open_ = np.flatnonzero(lower - _TOLERANCE <= upper)
     order = open_[np.argsort(lower[open_], kind="stable")]
@@ -253,9 +254,10 @@ def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
     `ARRIVAL_DISTANCE` of the destination, at the earliest to the frame before. All vehicles are interpolated linearly
     between these two frames. The poses of an episode with any other end are those of the trace.
 
-    An episode ends in the first frame in which the ego's center is so near. That frame lies up to the speed times the
-    time step (0.56 m at the speed limit and 20 Hz) behind the moment of arrival. How far behind is an accident of the
-    sampling, and greater than the differences between most episodes. So what follows the arrival is not judged.
+    An episode ends in the first frame in which the ego's center is within `ARRIVAL_DISTANCE` of its destination. At a
+    speed v, this frame lies up to v times the time between two frames behind the moment of arrival: 0.56 m at the speed
+    limit and 20 Hz. How far behind is an accident of the sampling, and greater than the differences between most
+    episodes. So what follows the arrival is not judged.
     """
     share = _arrival_share(trace) if trace.end == ARRIVED and len(trace.time) > 1 else 1.0
     if share == 1.0:

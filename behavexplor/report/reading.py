@@ -132,7 +132,7 @@ def read_run(folder: Path) -> ReportedRun:
     Raises:
         InputError: if the folder is not a run folder, has no executions yet, or is damaged.
     """
-    config = _without_path(stored_config(folder).says)
+    config = _without_path(stored_config(folder).unverified)
     triage = Triage.read(folder) if (folder / TRIAGE).is_file() else None
     known = {finding.id: finding for finding in triage.findings} if triage else {}
     entries, findings, digest = [], [], hashlib.sha256()

@@ -63,6 +63,6 @@ def test_a_budget_may_grow_and_one_that_is_used_up_is_refused(tmp_path, config):
         opened_run(replace(config, budget="2"), run, resume=True)
     for given, stored in (("6", "6"), ("5", "6"), ("2h", "2h"), ("90m", "2h")):
         with opening.opened(replace(config, budget=given), run, 0, resume=True):
-            assert stored_config(run).says.budget == stored
+            assert stored_config(run).unverified.budget == stored
     with opening.opened(replace(config, budget="5"), run, 0, resume=True):
-        assert stored_config(run).says.budget == "5"  # of another kind
+        assert stored_config(run).unverified.budget == "5"  # of another kind

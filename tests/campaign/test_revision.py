@@ -34,12 +34,12 @@ def old(tmp_path):
 
 def test_a_campaign_says_its_revision(tmp_path):
     run(tmp_path / "new", budget="3")
-    assert stored_config(tmp_path / "new").says.revision == REVISION == CampaignConfig().revision
+    assert stored_config(tmp_path / "new").unverified.revision == REVISION == CampaignConfig().revision
     assert campaign_config({}).revision == REVISION  # a file of flags says none, and means this version
 
 
 def test_an_old_run_is_read(old, capsys):
-    assert stored_config(old).says.revision == 1
+    assert stored_config(old).unverified.revision == 1
     assert records(old) == 0
     assert len(capsys.readouterr().out.splitlines()) == 20
     assert report([old]) == 0
@@ -47,7 +47,7 @@ def test_an_old_run_is_read(old, capsys):
 
 def test_an_old_run_is_not_resumed(old):
     before = (old / "campaign.db").read_bytes(), (old / "config.yaml").read_bytes()
-    config = replace(stored_config(old).says, budget="30")
+    config = replace(stored_config(old).unverified, budget="30")
     with pytest.raises(InputError, match=REFUSED), opened(config, old, 0, resume=True):
         pass
     assert ((old / "campaign.db").read_bytes(), (old / "config.yaml").read_bytes()) == before

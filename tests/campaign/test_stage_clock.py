@@ -62,7 +62,7 @@ def test_a_run_keeps_the_time_in_each_stage_and_a_resumed_one_adds_to_it(begun, 
 
 def test_what_is_stored_counts_for_the_start_when_a_run_is_resumed(run):
     before, _ = stages_of(run)
-    with opened(stored_config(run).says, run, 0, resume=True) as ready:
+    with opened(stored_config(run).unverified, run, 0, resume=True) as ready:
         clock = ready.campaign.clock
         begun = clock.seconds[Stage.STARTING]
         ready.campaign.run(lambda _: None)

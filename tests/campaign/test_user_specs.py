@@ -90,7 +90,7 @@ def test_it_is_scored_and_counted_in_classes_of_its_name(run):
     assert own
     assert all(record["class"].startswith("keeps_below_9/") and "fault" not in record for record in own)
     assert all(record["degrees"]["keeps_below_9"] == 0.0 for record in own)
-    assert stored_config(run).says.specs == ("own_specs:keeps_below_9",)
+    assert stored_config(run).unverified.specs == ("own_specs:keeps_below_9",)
 
 
 def test_the_summary_the_replay_triage_and_the_report_show_it(tmp_path, capsys, monkeypatch):

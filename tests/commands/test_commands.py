@@ -111,7 +111,7 @@ def test_a_switch_overrides_the_configuration_in_both_directions(tmp_path, name,
     for given, expected in (*said, ([f"--{'' if value else 'no-'}{name}"], value)):
         folder = tmp_path / f"run{len(given)}"
         assert run("fuzz", *flags, *given, "--out", folder).returncode == 0
-        assert getattr(stored_config(folder).says, name) is expected
+        assert getattr(stored_config(folder).unverified, name) is expected
 
 
 def test_the_fuzz_package_is_the_fuzz_command(tmp_path):

@@ -92,7 +92,7 @@ def a_run(made):
 
     def copied(folder, **values):
         shutil.copytree(made, folder)
-        config = replace(stored_config(made).says, **values)
+        config = replace(stored_config(made).unverified, **values)
         (folder / CONFIG).write_text(config.to_yaml())
         return folder
 
@@ -201,7 +201,9 @@ def test_a_suite_runs_none(key, theirs, capsys):
 def test_what_a_run_says_is_only_shown_and_compared():
     """A new reader of run folders that executes something calls `accepted`; one that shows something is added here."""
     package = ROOT / "behavexplor"
-    readers = {path.relative_to(package).as_posix() for path in package.rglob("*.py") if ".says" in path.read_text()}
+    readers = {
+        path.relative_to(package).as_posix() for path in package.rglob("*.py") if ".unverified" in path.read_text()
+    }
     assert readers == {
         "api/run.py",
         "bench/runs.py",
@@ -338,7 +340,7 @@ def test_an_own_run_whose_driver_has_changed_needs_a_word_and_does_not_go_on(own
     (own / "mine.py").write_text(MINE)
     assert main(resume) == OK
     assert main(replay) == OK
-    assert not stored_config(own / "run").says.trust
+    assert not stored_config(own / "run").unverified.trust
     assert open_run(own / "run").repeat(0).reproduced
 
 

@@ -48,7 +48,7 @@ def test_compare_leaves_confirmation_out_as_fuzz_does(tmp_path, monkeypatch, cap
     flags = ["--env", "merge-v0", "--scenarios", "2", "--workers", "0", "--quiet", "--no-confirm"]
     assert main(["compare", *drivers, *flags, "--out", str(tmp_path / "out")]) == OK
     assert "2 scenarios of merge-v0" in capsys.readouterr().out
-    assert not stored_config(tmp_path / "out" / "second").says.confirm
+    assert not stored_config(tmp_path / "out" / "second").unverified.confirm
 
 
 JUDGING = [["check", "suite"], ["evaluate", "--below", "0.1"], ["fuzz"], ["compare", "idm", "idm", "--margin", "0.1"]]

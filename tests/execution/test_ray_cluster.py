@@ -24,7 +24,7 @@ from behavexplor.execution.evaluator import EXECUTE, evaluator_recipe
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.fingerprint import FINGERPRINT, machine_fingerprint
 from behavexplor.execution.messages import ADS_FAILED, FAILED, REFUSED, RESULT
-from behavexplor.execution.ray_cluster import LOSSES, ClusterError, Node, RayExecutor, parse_cluster
+from behavexplor.execution.ray_cluster import LOSSES, ClusterError, Limits, Node, RayExecutor, parse_cluster
 from behavexplor.execution.service import Recipe
 from behavexplor.execution.simulation import Simulation, logical_scenario
 
@@ -191,7 +191,7 @@ def make(monkeypatch):
         monkeypatch.delenv("RAY_USAGE_STATS_ENABLED", raising=False)
         monkeypatch.setitem(sys.modules, "ray", made.cluster)
         recipe = Recipe("tests.faults:NoService", long_calls=long_calls)
-        executors.append(RayExecutor("ray", 0, recipe, (1.0, 1.0), ("constant",)))
+        executors.append(RayExecutor("ray", 0, recipe, Limits(1.0, 1.0), ("constant",)))
         return executors[-1], made.cluster.actors
 
     yield made
@@ -399,7 +399,7 @@ def start(monkeypatch):
     def started(ads, *, checked=(), ours=None, folder="/nowhere"):
         names = json.dumps(checked).encode()
         recipe = evaluator_recipe(Target(ENV, ads))
-        nodes.append(Node(recipe, (60.0, 8.0), names, ours or machine_fingerprint(checked), str(folder)))
+        nodes.append(Node(recipe, Limits(60.0, 8.0), names, ours or machine_fingerprint(checked), str(folder)))
         return nodes[-1]
 
     yield started

@@ -59,7 +59,7 @@ def test_the_first_failure_of_each_class_is_minimized(run):
 
 
 def test_a_minimized_failure_happens_again_alone_and_in_lock_step(run):
-    config = stored_config(run).says
+    config = stored_config(run).unverified
     simulation = Simulation(config.env, config.ads)
     together = ManyScenarios(simulation, simulation.lock_step(4))
     for found in read_minimized(run).values():
@@ -81,7 +81,7 @@ def test_vehicles_and_values_that_do_not_matter_are_gone(run):
 
 
 def test_without_any_one_vehicle_the_failure_is_another_one(run):
-    config = stored_config(run).says
+    config = stored_config(run).unverified
     driven = ManyScenarios(Simulation(config.env, config.ads), None)
     logical = driven.simulation.logical
     for found in read_minimized(run).values():
@@ -245,7 +245,7 @@ def test_after_triage_fault_and_cause_stay_the_same(triaged):  # noqa: F811
     assert main(["minimize", str(triaged), "0", "--workers", "0", "--quiet"]) == OK
     found = read_minimized(triaged)[0]
     assert (found.fault, found.cause) == ("preventable", "R1-1")
-    config = stored_config(triaged).says
+    config = stored_config(triaged).unverified
     simulation = Simulation(config.env, config.ads)
     scenario = found.load_scenario()
     trace = simulation.run(scenario)

@@ -38,7 +38,12 @@ _STORED_NAMES: Final = MappingProxyType({"maneuver": "manoeuvre"})  # the key in
 
 
 class RulePlanner:
-    """A planner of rules and search that drives the ego's route in traffic. Its `parameters` include its weaknesses."""
+    """A planner of rules and search that drives the ego's route in traffic.
+
+    Args:
+        roadmap: road map with the ego's route.
+        parameters: numbers of the planner, weaknesses included.
+    """
 
     observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
     action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range

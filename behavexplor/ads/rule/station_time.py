@@ -18,10 +18,10 @@ from behavexplor.jit import int64, kernel, kernel_inner
 
 TWO_PI = 2 * math.pi
 
-# whether a vehicle is hidden
-MARGIN: Final = 1e-6  # much more than the share by which roundings change a product
+# occlusion: whether other vehicles hide a vehicle from the ego (weakness R1-1)
+ROUNDING_MARGIN: Final = 1e-6  # much more than the share by which roundings change a product
 # If the sines of half their angular widths are below this, vehicles more than 90 degrees apart do not overlap.
-NARROW: Final = 0.7
+NARROW_SINE: Final = 0.7
 
 # gates of weaknesses
 MOVES: Final = 0.05  # speed above which a vehicle moves [m/s]
@@ -169,9 +169,9 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
     before = 0.0
     for k in range(N_INTERVALS):
         time = k * INTERVAL
-        least, greatest = reach(speed, acceleration, memory, limit, time, time + INTERVAL)
-        lead_speed = (least - before) / INTERVAL if k > 0 else speed
-        before = least
+        least_driven, most_driven = reach(speed, acceleration, memory, limit, time, time + INTERVAL)
+        lead_speed = (least_driven - before) / INTERVAL if k > 0 else speed
+        before = least_driven
         margin = p.following_time if ahead else p.crossing_time + p.crossing_time_growth * time
         soft_least, soft_greatest = reach(
             speed, acceleration, memory, limit, max(time - margin, 0.0), time + INTERVAL + margin
@@ -179,7 +179,7 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
         soft_low, soft_high = _stretch(occupied, first, last, soft_least, soft_greatest)
         if soft_low > soft_high:
             continue
-        low, high = _stretch(occupied, first, last, least, greatest)
+        low, high = _stretch(occupied, first, last, least_driven, most_driven)
         i = graph.counts[k]
         spans[k, i, HARD_LOW] = low - half_length - p.bumper_gap
         spans[k, i, HARD_HIGH] = high + half_length + p.bumper_gap
@@ -335,14 +335,14 @@ def _is_apart(scene: Floats, row: int, other: int) -> bool:
     other_radius = (scene[other, LENGTH] + scene[other, WIDTH]) / 2
     widths = radius * (abs(other_x) + abs(other_y)) + other_radius * (abs(x) + abs(y))
     # the sine of the angle between them exceeds the sum of the sines of half their widths
-    if abs(x * other_y - y * other_x) > (1.0 + MARGIN) * widths:
+    if abs(x * other_y - y * other_x) > (1.0 + ROUNDING_MARGIN) * widths:
         return True
     if x * other_x + y * other_y >= 0.0:
         return False
     widest = max(
         radius * radius / (x * x + y * y), other_radius * other_radius / (other_x * other_x + other_y * other_y)
     )
-    return bool(widest < NARROW * NARROW)
+    return bool(widest < NARROW_SINE * NARROW_SINE)
 
 
 @kernel_inner

@@ -19,7 +19,7 @@ from behavexplor.ads.sb3.inert import LOAD_TENSOR, OLD_TORCH, PickleReader, TooL
 from behavexplor.data.untrusted import member, read_file, unpacked_size
 from behavexplor.errors import InputError
 
-MAX_BYTES: Final = 1_000_000_000  # greatest size of an unpacked file
+MAX_BYTES: Final = 1_000_000_000  # greatest size of a file, packed or unpacked
 MAX_DATA: Final = 50_000_000  # greatest size of its settings
 MAX_RATIO: Final = 20  # greatest ratio of unpacked to packed size of a large file; Stable-Baselines3 does not compress
 LARGE: Final = 10_000_000
@@ -56,7 +56,7 @@ class Archive:
 
     path: Path  # path of the file
     packed: bytes = field(repr=False)  # the whole file
-    digest: str  # its digest, "sha256:..."
+    digest: str  # digest of the whole file, "sha256:..."
     # entries of `SETTINGS` that the file contains, as `behavexplor.ads.sb3.inert` reads them
     settings: Mapping[str, Any]
     # all settings that are a number, such as the hyperparameters of the training
@@ -94,6 +94,7 @@ def read_archive(path: Path) -> Archive:
         raise InputError(f"{path} is not a zip file of Stable-Baselines3, or is damaged: {error}") from None
     digest = f"sha256:{hashlib.sha256(packed).hexdigest()}"
     numbers = {key: value for key, value in data.items() if isinstance(value, int | float)}
+    python = _PYTHON.search(about)
     return Archive(
         path=path,
         packed=packed,
@@ -102,7 +103,7 @@ def read_archive(path: Path) -> Archive:
         numbers=MappingProxyType(numbers),
         weights=tensors[WEIGHTS],
         optimizer=tensors.get(OPTIMIZER),
-        python=found[1] if (found := _PYTHON.search(about)) else "",
+        python=python[1] if python else "",
         versions=tuple(f"{name} {version}" for name, version in _VERSIONS.findall(about)),
         suspicions=(*of_data, *of_tensors),
     )
@@ -142,7 +143,11 @@ def _settings(file: ZipFile) -> dict[str, Any]:
 
 
 def _read_settings(path: Path, data: Mapping[str, Any], reader: PickleReader) -> tuple[dict[str, Any], list[str]]:
-    """Return the entries of `SETTINGS` among a model's settings, and the suspicions about all pickles in them."""
+    """Return the entries of `SETTINGS` among a model's settings, and the suspicions about all of the settings.
+
+    Raises:
+        InputError: if one of the entries cannot be read.
+    """
     settings, suspicions = {}, []
     for key, value in data.items():
         place = f"{key!r} of its data"
@@ -175,9 +180,14 @@ def _content(place: str, value: Any, reader: PickleReader) -> tuple[Any, list[st
 
 @contextmanager
 def opened_torch(what: str, data: bytes) -> Iterator[ZipFile]:
-    """Open a file of torch, which does not compress: it is refused if it is larger unpacked, or a program."""
+    """Open a file of torch with the contents `data`, called `what` in messages.
+
+    Raises:
+        InputError: if it is larger unpacked, or a program.
+    """
     with ZipFile(io.BytesIO(data)) as file:
-        if (unpacked := unpacked_size(file)) > len(data):
+        unpacked = unpacked_size(file)
+        if unpacked > len(data):  # torch does not compress
             raise InputError(f"{what} would unpack to {unpacked} bytes, which torch never writes; it was not read")
         if any("/code/" in name for name in file.namelist()):
             raise InputError(f"{what} is a program of TorchScript, which is not run: {SAVE_WEIGHTS}")
@@ -185,7 +195,12 @@ def opened_torch(what: str, data: bytes) -> Iterator[ZipFile]:
 
 
 def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> list[str]:
-    """Return the suspicions about a file of tensors: a zip file that contains a pickle."""
+    """Return the suspicions about a file of tensors: a zip file that contains a pickle.
+
+    Raises:
+        InputError: if the file has a format of earlier versions of torch, is too large unpacked, or is a program.
+        ValueError: if it is no such file, or its pickle cannot be read.
+    """
     if content.startswith(_OLD_TORCH):
         raise InputError(
             f"{name} in {path} has the format of torch before 1.6, which is not read: if you trust its origin, load "

@@ -4,14 +4,12 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from behavexplor.envs.engine.lane_geometry import is_on_lane
+from behavexplor.envs.engine.lane_geometry import is_on_road
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.state import NO_LANE, Records, Scene, record_type
 from behavexplor.jit import kernel_inner
 
 Frame: TypeAlias = np.record
-
-NO_MARGIN: Final = 0.0  # [m]
 
 FRAME: Final = record_type(
     n_things=np.int64,  # number of logged vehicles and obstacles; 0 if the slot took no action
@@ -37,7 +35,8 @@ class FrameLog(NamedTuple):
     If N is 1, only the ego is logged.
     """
 
-    frames: Records  # shape (B, frames) of `FRAME`
+    # the frames themselves, shape (B, frames) of `FRAME`
+    frames: Records
     # vehicles in highway-env's order, then obstacles, shape (B, frames, N) of `THING`. What lies beyond `n_things` is
     # undefined.
     things: Records
@@ -52,8 +51,7 @@ def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
 def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> None:
     """Write the present state of an episode to `frame` and `things`, shape (N,), both changed in place.
 
-    If `things` has one row only, the ego is all that is written. The stations and offsets in `scene.scratch` must be
-    those of the present positions.
+    If `things` has one row only, the ego is all that is written.
     """
     episode = scene.episode
     # `scene.vehicles[first : first + count]` is what is written
@@ -61,10 +59,7 @@ def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> 
     if len(things) == 1:
         first, count = episode.ego, 1
     frame.n_things, frame.ego = count, episode.ego - first  # the ego's place among what is written
-    lane = network.lanes[scene.vehicles[episode.ego].lane]
-    station, offset = scene.scratch.stations[episode.ego], scene.scratch.offsets[episode.ego]
-    # as `is_on_road` does, but without computing again the coordinates that `scene.scratch` has
-    frame.is_on_road = is_on_lane(lane, station, offset, NO_MARGIN)
+    frame.is_on_road = is_on_road(network, scene.vehicles[episode.ego])
     for k in range(count):
         i = first + k
         thing, vehicle = things[k], scene.vehicles[i]

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from behavexplor.data.array_types import Array, Bools, Floats, Ints, Singles
 from behavexplor.envs.engine.frame_log import FrameLog, log_frame
 from behavexplor.envs.engine.frames import give_command, run_frames
-from behavexplor.envs.engine.lane_geometry import note_places
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.observing import GridMemory, View, observe, observe_times
 from behavexplor.envs.engine.pcg64 import Words, shuffle_rows
@@ -168,7 +167,6 @@ def _note_start(network: Network, scene: Scene, frames: Records, things: Records
     scene.episode.n_side_lanes = network.roads[lane.road].n_lanes
     scene.episode.n_decisions = 0
     if len(frames) > 0:
-        note_places(network, scene)
         log_frame(network, scene, frames[0], things[0])
 
 

@@ -163,8 +163,8 @@ class DrawnGenerator(np.random.Generator):
     def form(self, name: str, position: int, kind: str) -> float:
         """Return the standard form of a draw of an episode without a generator as its source.
 
-        Where an environment makes one kind of draw or the other at the same place, depending on earlier draws, a given
-        normal number is no position in a range, and the draw is made as if it were not given.
+        An environment may draw a uniform number where it drew a normal one when the draws were recorded. A given value
+        outside of [0, 1) then has no meaning, and the draw is made as if nothing were given.
         """
         given = self._played.get(name, ())
         if position < len(given) and (kind == NORMAL or 0.0 <= given[position] < 1.0):
@@ -266,7 +266,9 @@ class CallPath:
     A draw is found by this name and its position among the draws of the innermost call. So it keeps its name when
     another vehicle is rejected and draws less than before.
 
-    Calls above `root` (the file of the environment's caller), or in the folders or files `skipped`, have no part in it.
+    Args:
+        root: the file of the environment's caller. Calls above it have no part in the name.
+        skipped: folders or files whose calls have no part in it either.
     """
 
     def __init__(self, root: str, skipped: tuple[str, ...]) -> None:

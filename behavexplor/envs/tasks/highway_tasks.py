@@ -40,25 +40,25 @@ def goal_lanes(env: AbstractEnv) -> Callable[[LaneIndex], bool]:
 @kernel_inner
 def start(world: World, task: Task, scene: Scene, words: Words) -> None:
     """Place an episode's first vehicles and obstacles, drawing from the generator `words`: `AbstractEnv._reset`."""
-    episode, number = scene.episode, task.rules[0].number
+    episode, kind = scene.episode, task.rules[0].kind
     episode.n_vehicles = episode.n_obstacles = episode.n_numbered = 0
     episode.ego = episode.frames = episode.road_frames = 0
     episode.time = 0.0
-    if number == _EXIT:
+    if kind == _EXIT:
         exit_road.start(world, task, scene, words)
-    elif number == _HIGHWAY:
+    elif kind == _HIGHWAY:
         highway.start(world, task, scene, words)
-    elif number == _MERGE_GENERIC:
+    elif kind == _MERGE_GENERIC:
         merge.start_generic(world, task, scene, words)
-    elif number == _MERGE:
+    elif kind == _MERGE:
         merge.start(world, task, scene, words)
-    elif number == _ROUNDABOUT:
+    elif kind == _ROUNDABOUT:
         roundabout.start(world, task, scene, words)
-    elif number == _U_TURN:
+    elif kind == _U_TURN:
         u_turn.start(world, task, scene, words)
-    elif number == _TWO_WAY:
+    elif kind == _TWO_WAY:
         two_way.start(world, task, scene, words)
-    elif number == _INTERSECTION:
+    elif kind == _INTERSECTION:
         intersection.start(world, task, scene, words)
     for k in range(len(task.starts.obstacles)):
         scene.vehicles[episode.n_vehicles + k] = task.starts.obstacles[k]
@@ -71,12 +71,12 @@ def start(world: World, task: Task, scene: Scene, words: Words) -> None:
 @kernel_inner
 def enter(world: World, task: Task, scene: Scene, words: Words) -> None:
     """Place the vehicles that appear after the frames of `n_warm_up`."""
-    if task.rules[0].number == _INTERSECTION:
+    if task.rules[0].kind == _INTERSECTION:
         intersection.enter(world, task, scene, words)
 
 
 @kernel_inner
 def renew_traffic(world: World, task: Task, scene: Scene, words: Words) -> None:
     """Let vehicles leave and appear after a decision."""
-    if task.rules[0].number == _INTERSECTION:
+    if task.rules[0].kind == _INTERSECTION:
         intersection.renew_traffic(world, task, scene, words)

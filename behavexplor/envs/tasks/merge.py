@@ -46,7 +46,7 @@ KIND = TaskKind(
     is_normalized=True,
     truncates=False,
     end_x=lambda _: 370.0,  # x beyond which the episode ends [m]
-    # lane 2 merges if the highway has two lanes; highway-env uses the same index for any number of lanes
+    # the merging lane of a highway with two lanes; highway-env uses this index for any number of lanes
     is_goal=lambda index, _: index == ("b", "c", 2),
     start_lanes=lambda _: (("a", "b", 0), ("a", "b", 1), ("j", "k", 0)),  # the two of the highway, then the ramp
     n_placed=5,

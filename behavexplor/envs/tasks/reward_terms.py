@@ -139,7 +139,7 @@ def _number_of(world: World, term: Any, scene: Scene) -> int:
     """Return what kind of number a weighted term is in highway-env, where target speeds of the ego are numpy's."""
     ego = scene.episode.ego
     is_mdp_on_goal = scene.traits[ego].kind == MDP and world.network.lanes[scene.vehicles[ego].lane].is_goal
-    return NUMPY if term.code == SLOW_ON_GOAL and is_mdp_on_goal else int(term.number)
+    return NUMPY if term.code == SLOW_ON_GOAL and is_mdp_on_goal else int(term.number_kind)
 
 
 @kernel_inner

@@ -21,17 +21,18 @@ Config: TypeAlias = Mapping[str, Any]
 
 DRAWN: Final = -1  # a lane or destination that is drawn at each reset
 NO_TERM: Final = -1
-INTEGER: Final = 0  # kind of number: Python's `int`; a sum is of the greatest kind among its numbers
+# Kinds of numbers. A sum is of the greatest kind among its items, which decides how highway-env rounds it.
+INTEGER: Final = 0  # Python's `int`
 FLOAT: Final = 1  # Python's `float`
 NUMPY: Final = 2  # a number of numpy
 
 TERM: Final = record_type(
     code=np.int64,  # what it is; see `behavexplor.envs.tasks.reward_terms`
     weight=np.float64,
-    number=np.int64,  # what kind of number the weighted term is in highway-env; see `kind_of_number`
+    number_kind=np.int64,  # what kind of number the weighted term is in highway-env; see `kind_of_number`
 )
 TASK: Final = record_type(
-    number=np.int64,  # of the kind of task; see `behavexplor.envs.tasks.highway_tasks`
+    kind=np.int64,  # number of the kind of task: its place in `behavexplor.envs.tasks.highway_tasks.KINDS`
     low_speed=np.float64,  # `reward_speed_range` [m/s]
     high_speed=np.float64,
     is_normalized=np.bool_,  # rewards are mapped to [0, 1]
@@ -58,7 +59,7 @@ TASK: Final = record_type(
     low_start_speed=np.float64,  # of the other vehicles [m/s]
     high_start_speed=np.float64,
     ego_destination=np.int64,  # row of `Starts.plans`, or DRAWN
-    destination=np.int64,  # of one of the other vehicles, or DRAWN
+    destination=np.int64,  # of the roundabout's incoming vehicle, or DRAWN
     spawn_probability=np.float64,
 )
 
@@ -70,7 +71,9 @@ class Starts(NamedTuple):
     # roads of the route from a road to a destination, padded with -1, shape (destinations, roads, steps). The first one
     # is the road itself.
     plans: Ints
-    numbers: Floats  # more numbers that the start of this kind of task needs, shape (n,)
+    # shape (n,): cumulated probabilities of lanes (exit), offsets along the lanes [m] (intersection), or the end of the
+    # ramp [m] (generic merge)
+    numbers: Floats
     obstacles: Records  # the obstacles, shape (obstacles,) of `VEHICLE`
 
 
@@ -117,9 +120,10 @@ class TaskKind:
     truncates: bool = True  # whether an episode is truncated after the config's `duration`
     may_end_off_road: bool = False  # whether the config can end episodes off the road
     end_x: Callable[[Config], float] = lambda _: np.inf  # where the episode ends, for a config [m]
-    # whether a lane is one of the goals, for a config
+    # whether a lane is one of the goals, for a config: the merging lane (merge), a lane to be reached (exit), or one
+    # that leads out of the intersection
     is_goal: Callable[[LaneIndex, Config], bool] = lambda _, __: False
-    destinations: tuple[str, ...] = ()  # ends of the routes that are planned
+    destinations: tuple[str, ...] = ()  # ends of the routes that are planned, in the order in which they are drawn
     start_numbers: Callable[[Config], Floats] = lambda _: np.zeros(0)  # see `Starts.numbers`
     n_placed: int | None = None  # vehicles with which an episode begins, with the ego; None: 1 + `n_others`
     # puts a config's numbers for the start into the record `TASK`
@@ -134,8 +138,8 @@ class TaskKind:
     @cached_property
     def named_terms(self) -> tuple[tuple[str, str, type], ...]:
         """Name, name of the mask and type of each term in infos, where numpy's numbers count as floats."""
-        kinds = {name: float if issubclass(wanted, float) else wanted for name, (_, wanted) in self.terms.items()}
-        return tuple((name, f"_{name}", wanted) for name, wanted in kinds.items())
+        types = {name: float if issubclass(wanted, float) else wanted for name, (_, wanted) in self.terms.items()}
+        return tuple((name, f"_{name}", wanted) for name, wanted in types.items())
 
     def normalizes(self, config: Config) -> bool:
         """Return whether rewards are mapped to [0, 1]."""
@@ -150,15 +154,16 @@ class TaskKind:
         return NO_TERM if name is None else list(self.terms).index(name)
 
 
-def make_task(env: AbstractEnv, number: int, kind: TaskKind, starts: Starts, most_decisions: int | None) -> Task:
-    """Return the starts, rewards and ends of an environment that has been reset; `number` is that of its kind.
+def make_task(env: AbstractEnv, kind_number: int, kind: TaskKind, starts: Starts, most_decisions: int | None) -> Task:
+    """Return the starts, rewards and ends of an environment that has been reset.
 
-    After `most_decisions`, an episode is truncated; None for no limit.
+    `kind_number` is the place of `kind` in `behavexplor.envs.tasks.highway_tasks.KINDS`. After `most_decisions`, an
+    episode is truncated; None for no limit.
     """
     config = env.config
     rules = np.zeros(1, TASK)
     row = rules.view(np.recarray)[0]
-    row.number = number
+    row.kind = kind_number
     row.ego_lane = row.ego_destination = row.destination = DRAWN
     _put_rewards(row, config, kind)
     _put_ends(row, config, kind)
@@ -205,12 +210,14 @@ def no_starts() -> Starts:
 def make_starts(env: AbstractEnv, kind: TaskKind, obstacles: Records) -> Starts:
     """Return where the vehicles of an environment start, and their routes.
 
-    The environment has been reset, and makes its road and vehicles as highway-env does. `obstacles`: (n,) of `VEHICLE`.
+    The environment has been reset, and makes its road and vehicles as highway-env does. `obstacles` are its obstacles,
+    shape (obstacles,) of `VEHICLE`.
 
     Raises:
         InputError: if its road has no lanes where vehicles would start.
     """
-    indexes, starts = lane_indexes(env.road.network), kind.start_lanes(env.config)
+    indexes = lane_indexes(env.road.network)
+    starts = kind.start_lanes(env.config)
     for start in starts:
         if start not in indexes:
             raise InputError(f"The road of {type(env).__name__} has no lane {start}, where vehicles would appear")
