@@ -29,17 +29,14 @@ class ADS(Protocol):
     @property
     def observation(self) -> Mapping[str, Any]:
         """The observation configuration of highway-env, or `{"type": "Scene"}`."""
-        ...
 
     @property
     def action(self) -> Mapping[str, Any]:
         """The action configuration of highway-env."""
-        ...
 
     @property
     def policy_frequency(self) -> int:
         """Decisions per second [Hz]."""
-        ...
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Bools | None = None, deterministic: bool = True
@@ -57,7 +54,6 @@ class ADS(Protocol):
         Returns:
             The actions, shape (B, ...), and the state for the next call.
         """
-        ...
 
 
 @runtime_checkable
@@ -75,7 +71,6 @@ class StochasticADS(Protocol):
 
         The same numbers give the same actions. For the rest, see `ADS.predict`.
         """
-        ...
 
 
 @runtime_checkable
@@ -89,4 +84,3 @@ class DecisionLog(Protocol):
             Arrays of numbers, shape (B, ...): a row for each ego. Names and shapes are the same at every decision of an
             episode.
         """
-        ...

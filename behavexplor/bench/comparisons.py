@@ -14,7 +14,6 @@ from behavexplor.bench.table import (
     Table,
     Value,
     mean,
-    n_kinds_at_fault,
     n_weaknesses,
     of_group,
     p_text,
@@ -25,7 +24,7 @@ from behavexplor.bench.table import (
 )
 from behavexplor.data.csv_text import csv_text
 
-_AT_FAULT_CLASSES: Final = ("at-fault-classes", "classes of failures at fault", n_kinds_at_fault)
+_AT_FAULT_CLASSES: Final = ("at-fault-classes", "classes of failures at fault", Summary.classes_at_fault)
 UNDECIDED: Final = "undecided"
 POINTS: Final = 50  # approximate number of points of a curve
 _CURVE_COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", "low", "high")

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Final
 import yaml
 from pydantic import ConfigDict
 
-from behavexplor.campaign.config import CampaignConfig, campaign_config, preset_folder, read_config, read_yaml
+from behavexplor.campaign.config import CampaignConfig, campaign_config, read_config
 from behavexplor.data.target import Conditions
 from behavexplor.data.validation import between, checked
 from behavexplor.errors import InputError, brief, unknown_name
@@ -172,12 +172,8 @@ def read_experiment(name: str) -> Experiment:
     Raises:
         InputError: if there is no such file, or if it holds no valid experiment.
     """
-    path, shipped = Path(name), preset_folder() / "experiments"
-    if not path.is_file() and "/" not in name and (shipped / f"{name}.yaml").is_file():
-        path = shipped / f"{name}.yaml"
-    if not path.is_file():
-        raise unknown_name("experiment (neither a file nor a shipped experiment)", name, _stems(shipped))
-    return experiment_config({"name": path.stem, **read_yaml(path)})
+    values = read_config(name, "experiment (neither a file nor a shipped experiment)", "experiments")
+    return experiment_config({"name": Path(name).stem, **values})
 
 
 def experiment_config(values: Mapping[str, Any]) -> Experiment:
@@ -246,7 +242,3 @@ def _check_names(key: str, values: Any) -> None:
 def _check_name(what: str, name: str) -> None:
     if not re.fullmatch(r"[\w.+-]{1,100}", name) or name.startswith("."):
         raise InputError(f"The {what}, {name!r}, must consist of letters, digits, '-', '_', '+' or '.', as a file name")
-
-
-def _stems(folder: Path) -> list[str]:
-    return sorted(path.stem for path in folder.glob("*.yaml"))

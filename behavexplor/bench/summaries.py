@@ -120,9 +120,9 @@ class Summary:
         """Return the number of failures for which the ADS was at fault."""
         return sum(failure.at_fault for failure in self.failures)
 
-    def kinds_at_fault(self) -> frozenset[str]:
-        """Return the classes of the failures for which the ADS was at fault."""
-        return frozenset(failure.kind for failure in self.failures if failure.at_fault)
+    def classes_at_fault(self) -> int:
+        """Return the number of classes of failures for which the ADS was at fault."""
+        return len({failure.kind for failure in self.failures if failure.at_fault})
 
     @property
     def discovery(self) -> Discovery:
@@ -241,7 +241,7 @@ def _row(summary: Summary, labels: Sequence[str], *, signed: bool) -> dict[str, 
     values |= {f"failed_{label}": summary.total(label) for label in labels}
     values |= {"R1_npc_caused": summary.npc_caused, "R1_other": summary.total("R1") - summary.npc_caused}
     values |= {"unique": len(summary.kinds()), **{f"unique_{label}": len(summary.kinds(label)) for label in labels}}
-    values["at_fault_classes"] = len(summary.kinds_at_fault())
+    values["at_fault_classes"] = summary.classes_at_fault()
     values |= {"new_class_chance": _rounded(summary.discovery.new_chance, 6)}
     values |= {"unseen_classes": _rounded(summary.discovery.unseen, 3)}
     values["classes"] = " ".join(sorted(summary.kinds()))

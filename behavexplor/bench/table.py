@@ -94,11 +94,6 @@ def unique(label: str | None) -> Figure:
     return lambda summary: len(summary.kinds(label))
 
 
-def n_kinds_at_fault(summary: Summary) -> int:
-    """Return the number of classes of failures for which the ADS was at fault."""
-    return len(summary.kinds_at_fault())
-
-
 def novelty(summary: Summary) -> float:
     """Return the share of executions with new behavior, in per cent."""
     return 100 * summary.novelty_rate

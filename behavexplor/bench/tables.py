@@ -16,7 +16,6 @@ from behavexplor.bench.table import (
     Table,
     Value,
     mean,
-    n_kinds_at_fault,
     n_weaknesses,
     novelty,
     table_by_method,
@@ -90,7 +89,7 @@ def _found(summaries: Sequence[Summary]) -> list[tuple[Column, Figure]]:
     """Return the columns of findings, with their figures."""
     columns: list[tuple[Column, Figure]] = [
         (Column("At fault", interval=True, best=True), Summary.at_fault),
-        (Column("At-fault classes", interval=True, best=True), n_kinds_at_fault),
+        (Column("At-fault classes", interval=True, best=True), Summary.classes_at_fault),
         *((Column(label), total(label)) for label in _labels(summaries)),
         (Column("Sum", interval=True, best=True), total(None)),
         (Column("R1 by NPC"), lambda summary: summary.npc_caused),

@@ -148,18 +148,19 @@ def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
     return checked(CampaignConfig, values, "configuration")
 
 
-def read_config(name: str) -> dict[str, Any]:
-    """Read the values in the YAML file of a campaign, or in a preset in `configs/`, such as "paper".
+def read_config(
+    name: str, what: str = "configuration (neither a file nor a preset)", folder: str = ""
+) -> dict[str, Any]:
+    """Read the values in the YAML file of a campaign, or in a preset in `configs/` or a folder there, such as "paper".
 
     Raises:
         InputError: if there is no such file, or if it holds no mapping.
     """
-    path = Path(name)
-    if not path.is_file() and "/" not in name and (preset := preset_folder() / f"{name}.yaml").is_file():
+    path, shipped = Path(name), preset_folder() / folder
+    if not path.is_file() and "/" not in name and (preset := shipped / f"{name}.yaml").is_file():
         path = preset
     if not path.is_file():
-        presets = [preset.stem for preset in preset_folder().glob("*.yaml")]
-        raise unknown_name("configuration (neither a file nor a preset)", name, presets)
+        raise unknown_name(what, name, [preset.stem for preset in shipped.glob("*.yaml")])
     return read_yaml(path)
 
 

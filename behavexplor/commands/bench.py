@@ -29,7 +29,7 @@ from behavexplor.data.durable import make_folder, write_durably, writing
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import available_cores
 from behavexplor.execution.ray_cluster import parse_cluster
-from behavexplor.execution.start import check_loading, fewest_workers, logical_of_target, start_executor
+from behavexplor.execution.start import fewest_workers, logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
 from behavexplor.report.experiment_page import experiment_page
 from behavexplor.report.run_page import PAGE
@@ -148,7 +148,6 @@ def _prepare(experiment: Experiment, root: Path) -> None:
     for (env, _), runs in by_driver.items():
         target = runs[0].config.target
         with start_executor(target, fewest_workers(target)) as executor:
-            check_loading(executor)
             logical = logical_of_target(executor, env)
         for run in runs:
             search_method(run.config, logical)  # raises if the method or its options are invalid

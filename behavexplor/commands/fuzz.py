@@ -142,11 +142,6 @@ class Checks:
         return not has_failed, f"The check {'failed' if has_failed else 'passed'}: {what}"
 
 
-def summary_values(found: RunSummary, run: Path, checks: Checks) -> Mapping[str, Any]:
-    """Return the figures of a run, its folder, and its classes that are not known, as JSON values."""
-    return {"run": str(run), **found.to_dict(), "new_classes": [one.id for one in checks.new_classes(found)]}
-
-
 def read_known_classes(path: Path | None) -> frozenset[str]:
     """Return the classes in a file: one in each line, after which a # begins a comment, or a summary in JSON.
 
@@ -262,7 +257,8 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, output
     if not (output.json_file or output.junit or progress.violations.get(ERROR)) and checks == Checks():
         return code  # without reading the whole run once more
     found = summarize(folder)
-    write_json(output.json_file, summary_values(found, folder, checks))
+    new = [one.id for one in checks.new_classes(found)]
+    write_json(output.json_file, {"run": str(folder), **found.to_dict(), "new_classes": new})
     properties = {"env": found.env, "ads": found.ads, "method": found.method, **found.digests}
     tested = tested_classes(found, folder, checks)
     write_junit(output.junit, f"fuzz {found.env}", tested, properties, found.elapsed)

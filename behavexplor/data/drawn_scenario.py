@@ -112,6 +112,9 @@ class DrawnScenario:
     seed: int
     draws: Draws
 
+    has_original = True  # the environment is highway-env's
+    npcs = ()  # no vehicle is scripted: all drive themselves
+
     def __post_init__(self) -> None:
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < MAX_SEED:
             raise InputError(f"seed: expected a whole number from 0 to 2^63 - 1, got {brief(self.seed)}")
@@ -124,11 +127,6 @@ class DrawnScenario:
             for i, value in enumerate(values):
                 if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                     raise InputError(f"draws[{name!r}][{i}]: expected a finite number, got {brief(value)}")
-
-    @property
-    def has_original(self) -> bool:
-        """True: the environment is highway-env's."""
-        return True
 
     @property
     def meta_actions(self) -> tuple[str, ...]:
@@ -145,11 +143,6 @@ class DrawnScenario:
     def functional(self) -> str:
         """Name of the environment."""
         return self.setup.env
-
-    @property
-    def npcs(self) -> tuple[()]:
-        """No vehicle is scripted: all drive themselves."""
-        return ()
 
     @property
     def conditions(self) -> dict[str, Any]:

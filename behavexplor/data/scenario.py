@@ -6,6 +6,7 @@ There are two kinds of both: scripted vehicles on one of this package's roads (`
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -15,7 +16,8 @@ from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scripted import NPC, ScriptedScenario
 from behavexplor.data.trace import Trace
-from behavexplor.data.untrusted import parse_json
+from behavexplor.data.untrusted import parse_json, read_file
+from behavexplor.errors import InputError
 
 MAX_KEEP_PROBABILITY: Final = 0.95  # with greater values, almost every draw would leave a scenario unchanged
 MIN_SIGMA: Final = 1e-6  # smaller noise would leave a scenario unchanged
@@ -27,45 +29,36 @@ class Scenario(Protocol):
     @property
     def functional(self) -> str:
         """Name of the functional scenario, or of the highway-env environment."""
-        ...
 
     @property
     def npcs(self) -> tuple[NPC, ...]:
         """The scripted vehicles; none where all vehicles drive themselves."""
-        ...
 
     @property
     def has_original(self) -> bool:
         """Whether the scenario belongs to one of highway-env's environments, so that highway-env itself can run it."""
-        ...
 
     @property
     def meta_actions(self) -> tuple[str, ...]:
         """The names of the driver's actions by index, if they are highway-env's meta-actions; otherwise nothing."""
-        ...
 
     @property
     def conditions(self) -> Mapping[str, Any]:
         """The fields of a `behavexplor.data.target.Target` that the scenario itself states."""
-        ...
 
     @property
     def scene_config(self) -> Mapping[str, Any]:
         """The configuration of the environment that the scenario itself states, but for what a driver declares."""
-        ...
 
     @property
     def scene(self) -> Hashable:
         """What is the same in the scenario for every driver."""
-        ...
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scenario as JSON values, from which `read_scenario` restores it exactly."""
-        ...
 
     def to_json(self) -> str:
         """Return the scenario as one line of JSON, from which `parse_scenario` restores it exactly."""
-        ...
 
     def __hash__(self) -> int: ...
 
@@ -88,6 +81,27 @@ def parse_scenario(text: str) -> Scenario:
         InputError: if the text is too long or not JSON, or a field is wrong; the message names the field.
     """
     return read_scenario(parse_json(text, "a scenario"))
+
+
+def read_scenarios(path: Path, logical: "LogicalScenario") -> list[Scenario]:
+    """Return the scenarios of a file, one as JSON in each line, as scenarios of a logical scenario.
+
+    They may have been found with another driver.
+
+    Raises:
+        InputError: if the file cannot be read, or a scenario is not valid; the message names the line.
+    """
+    try:
+        lines = read_file(path).decode().splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(f"The scenarios in {path} cannot be read: {error}") from None
+    scenarios = []
+    for number, line in enumerate(lines, 1):
+        try:
+            scenarios.append(logical.adopted(parse_scenario(line)))
+        except InputError as error:
+            raise InputError(f"{path}, line {number}: {error}") from None
+    return scenarios
 
 
 Value = float | str | None  # of a part of a scenario
@@ -173,7 +187,6 @@ class Encoding(Protocol):
     @property
     def size(self) -> int:
         """Length n of a vector."""
-        ...
 
     def decode(self, vector: Floats) -> Any:
         """Return the scenario of a vector, shape (n,). Values beyond [0, 1] are clipped.
@@ -181,19 +194,15 @@ class Encoding(Protocol):
         Raises:
             InputError: if the vector has another shape, or is not finite.
         """
-        ...
 
     def encode(self, scenario: Any) -> Floats:
         """Return the vector of a scenario, shape (n,). `decode` restores the scenario to six decimals."""
-        ...
 
     def features(self, vectors: Floats) -> Floats:
         """Return features for distances and regression of vectors, shape (k, n)."""
-        ...
 
     def draw_gene(self, rng: np.random.Generator) -> int:
         """Draw the index of one gene of a block, which a small change of one vehicle replaces."""
-        ...
 
 
 def draws(seed: int, number: int, *purpose: int) -> np.random.Generator:
@@ -213,27 +222,22 @@ class LogicalScenario(Protocol):
     @property
     def name(self) -> str:
         """Name of the functional scenario, or of the highway-env environment."""
-        ...
 
     @property
     def roadmap(self) -> RoadMap | None:
         """The map; None for a highway-env environment, whose road is its own."""
-        ...
 
     @property
     def has_original(self) -> bool:
         """Whether this is one of highway-env's environments, so that highway-env itself can also run the scenarios."""
-        ...
 
     @property
     def config(self) -> Mapping[str, Any]:
         """The configuration of the environment, if the scenarios belong to one; else nothing."""
-        ...
 
     @property
     def mutations(self) -> Mutations:
         """Names of the mutations."""
-        ...
 
     @property
     def encoding(self) -> Encoding:
@@ -242,16 +246,13 @@ class LogicalScenario(Protocol):
         Raises:
             InputError: if there is nothing that could be varied.
         """
-        ...
 
     @property
     def line_kinds(self) -> tuple[str, ...]:
         """The kinds of the illegal lines in a trace, one for each line."""
-        ...
 
     def to_json(self) -> str:
         """Return the set as JSON if it depends on the driver; otherwise nothing, because its name says all."""
-        ...
 
     def check(self, scenario: Any) -> None:
         """Check that a scenario belongs to the set.
@@ -259,7 +260,6 @@ class LogicalScenario(Protocol):
         Raises:
             InputError: if it does not; the message names the field that is wrong.
         """
-        ...
 
     def adopted(self, scenario: Any) -> Scenario:
         """Return the scenario of another driver as one of this set, in which everything but the driver is the same.
@@ -267,15 +267,12 @@ class LogicalScenario(Protocol):
         Raises:
             InputError: if there is none; the message names the difference.
         """
-        ...
 
     def sample(self, rng: np.random.Generator) -> Scenario:
         """Draw a scenario."""
-        ...
 
     def pass_over(self, rng: np.random.Generator) -> None:
         """Advance the generator as `sample` does, without making a scenario."""
-        ...
 
     def mutate_little(self, scenario: Any, rng: np.random.Generator, noise: Noise) -> Scenario:
         """Return a mutant of a scenario by noise on some of its vehicles.
@@ -283,7 +280,6 @@ class LogicalScenario(Protocol):
         Raises:
             InputError: if no mutant was found.
         """
-        ...
 
     def mutate_much(self, scenario: Any, rng: np.random.Generator, keep_probability: float) -> Scenario:
         """Return a mutant of a scenario by new draws for some of its vehicles.
@@ -291,24 +287,19 @@ class LogicalScenario(Protocol):
         Raises:
             InputError: if no mutant was found.
         """
-        ...
 
     def first_frame(self, scenario: Any, end: str) -> Trace:
         """Return the trace of an episode that ended before any vehicle moved. `end` is one of the trace's `ENDS`."""
-        ...
 
     def describe(self, scenario: Any) -> str:
         """Return a short description of a scenario for people."""
-        ...
 
     @property
     def removable(self) -> bool:
         """Whether a scenario is valid without some of its parts."""
-        ...
 
     def parts(self, scenario: Any) -> Parts:
         """Return the parts of a scenario, from which `with_parts` makes it again."""
-        ...
 
     def with_parts(self, scenario: Any, parts: Parts) -> Scenario:
         """Return a scenario with other parts.
@@ -316,4 +307,3 @@ class LogicalScenario(Protocol):
         Raises:
             InputError: if such a scenario is not in the set.
         """
-        ...

@@ -99,22 +99,15 @@ class ScriptedScenario:
     functional: str
     npcs: tuple[NPC, ...]
 
+    has_original = False  # the roads are this package's
+    meta_actions = ()  # the driver accelerates and steers
+
     def __post_init__(self) -> None:
         _text("functional", self.functional)
         object.__setattr__(self, "npcs", _parts("npcs", self.npcs))
         for i, npc in enumerate(self.npcs):
             if not isinstance(npc, NPC):
                 raise InputError(f"npcs[{i}]: expected an NPC, got {brief(npc)}")
-
-    @property
-    def has_original(self) -> bool:
-        """False: the roads are this package's."""
-        return False
-
-    @property
-    def meta_actions(self) -> tuple[()]:
-        """Nothing: the driver accelerates and steers."""
-        return ()
 
     @property
     def conditions(self) -> dict[str, Any]:
@@ -277,18 +270,6 @@ class ScriptedRanges:
             if not low <= waypoint.speed <= high:
                 raise InputError(f"waypoints[{i}].speed: {waypoint.speed} is not in [{low:g}, {high:g}] m/s")
 
-    def spawn_conflict(self, npc: NPC, others: Sequence[NPC]) -> str | None:
-        """Return the spawn rule that a vehicle breaks, or None if it can start beside the other vehicles.
-
-        Args:
-            npc: a vehicle with a valid type, route and first position.
-            others: vehicles that are already placed.
-
-        Returns:
-            The broken rule as the end of the sentence "the vehicle starts ...", or None.
-        """
-        return self._conflict(self._placed(npc), list(map(self._placed, others)))
-
     def first_to_fit(self, vehicles: Iterable[NPC], others: Sequence[NPC]) -> NPC | None:
         """Return the first vehicle that can start beside others, or None. Those after it are not taken, or drawn."""
         placed = list(map(self._placed, others))
@@ -312,10 +293,6 @@ class ScriptedRanges:
         lane, size = self.roadmap.routes[npc.route].lanes[0], VEHICLE_SIZES[npc.type]
         x, y, heading = lane.pose_at(npc.waypoints[0].position)
         return _Placed(x, y, heading, size, _radius(size), lane)
-
-    def start_pose_of(self, npc: NPC) -> Floats:
-        """Return the pose at which a vehicle starts: x, y [m] and heading [rad], shape (3,)."""
-        return np.array(self.roadmap.routes[npc.route].lanes[0].pose_at(npc.waypoints[0].position))
 
     @cached_property
     def _ego(self) -> "_Placed":

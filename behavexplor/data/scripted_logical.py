@@ -31,15 +31,14 @@ ROUTES: Final = "routes"
 class ScriptedLogicalScenario(ScriptedRanges):
     """The parameters of a functional scenario and their ranges; see `behavexplor.data.scenario.LogicalScenario`."""
 
+    has_original = False  # highway-env has no scripted vehicles
+    removable = True  # a scenario may have fewer vehicles
+    mutations = Mutations(WAYPOINTS, ROUTES)  # the paper's
+
     @cached_property
     def encoding(self) -> "ScriptedEncoding":
         """The encoding of scenarios as vectors."""
         return ScriptedEncoding(self)
-
-    @property
-    def has_original(self) -> bool:
-        """False: highway-env has no scripted vehicles."""
-        return False
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -49,16 +48,6 @@ class ScriptedLogicalScenario(ScriptedRanges):
     def to_json(self) -> str:
         """Return nothing: the name of the environment says all."""
         return ""
-
-    @property
-    def removable(self) -> bool:
-        """True: a scenario may have fewer vehicles."""
-        return True
-
-    @property
-    def mutations(self) -> Mutations:
-        """Names of the paper's mutations."""
-        return Mutations(WAYPOINTS, ROUTES)
 
     @property
     def line_kinds(self) -> tuple[str, ...]:
@@ -83,7 +72,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
     def first_frame(self, scenario: ScriptedScenario, end: str) -> Trace:
         """Return the trace of an episode that ended before any vehicle moved. `end` is one of the trace's `ENDS`."""
         roadmap = self.roadmap
-        poses = np.stack([roadmap.start_pose, *map(self.start_pose_of, scenario.npcs)])
+        poses = np.stack([roadmap.start_pose, *(self._placed(npc)[:3] for npc in scenario.npcs)])
         speeds = np.array([0.0, *(npc.waypoints[0].speed for npc in scenario.npcs)])
         heading = poses[:, 2]
         return Trace(

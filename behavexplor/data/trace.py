@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -10,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Array, Bools, Floats, Ints
-from behavexplor.data.durable import write_durably
 from behavexplor.data.motion_bytes import MOST_VALUES, pack_arrays, pack_motion, unpack_arrays, unpack_motion
-from behavexplor.data.untrusted import MAX_ARRAY_BYTES, read_file
+from behavexplor.data.untrusted import MAX_ARRAY_BYTES
 from behavexplor.errors import InputError
 
 RESOLUTION = 1e-9  # precision of recorded motion, in m, rad and m/s
@@ -303,19 +301,6 @@ class Trace:
                 raise AttributeError(f"a trace has no attribute {name!r}")
             self.__dict__.update(vars(self.from_bytes(data)) | self.__dict__)
             return self.__dict__[name]
-
-    def save(self, path: Path) -> None:
-        """Write the trace as a file."""
-        write_durably(path, self.to_bytes())
-
-    @classmethod
-    def load(cls, path: Path) -> Self:
-        """Read a file that `save` wrote.
-
-        Raises:
-            InputError: if it is not a trace, or is damaged.
-        """
-        return cls.from_bytes(read_file(path))
 
 
 _ALL_PRESENT.setflags(write=False)

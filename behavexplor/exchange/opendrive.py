@@ -95,14 +95,6 @@ class RoadLayout:
     links: Links  # pairs of lanes that meet, by the pair of the road that ends and the road that begins there
     junction: tuple[int, ...]  # number of the junction that each road crosses, or `NOWHERE`
 
-    def before(self, road: int) -> list[int]:
-        """Return the roads that lead to a road."""
-        return _before(self.links, road)
-
-    def after(self, road: int) -> list[int]:
-        """Return the roads to which a road leads."""
-        return _after(self.links, road)
-
 
 def road_layout(plan: RoadPlan) -> RoadLayout:
     """Return the layout of a plan."""
@@ -246,7 +238,7 @@ def _road(layout: RoadLayout, i: int) -> Any:
     made = xodr.Road(i, _plan_view(road.lanes[0].lane), _lanes(layout, i), junction, name)
     limits = [planned.speed_limit for planned in road.lanes if planned.speed_limit is not None]
     made.add_type(xodr.RoadType.town, speed=max(limits) if limits else None)
-    before, after = layout.before(i), layout.after(i)
+    before, after = _before(layout.links, i), _after(layout.links, i)
     if before:
         made.add_predecessor(*_linked(layout, i, before[0], is_before=True))
     if after:
@@ -348,7 +340,7 @@ def _mark(kind: str) -> Any:
 def _junction(layout: RoadLayout, number: int) -> Any:
     made = xodr.Junction(f"junction {number}", _junction_id(number))
     for i, crossed in enumerate(layout.junction):
-        for incoming in layout.before(i) if crossed == number else ():
+        for incoming in _before(layout.links, i) if crossed == number else ():
             connection = xodr.Connection(incoming, i, xodr.ContactPoint.start)
             for a, b in layout.links[incoming, i]:
                 connection.add_lanelink(_lane_id(a), _lane_id(b))

@@ -18,7 +18,6 @@ from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import LOGICAL, PREFLIGHT, evaluator_recipe, needs_confinement
 from behavexplor.execution.executor import BATCHES, Executor
-from behavexplor.execution.fingerprint import FINGERPRINT
 from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.ray_cluster import Limits, RayExecutor
 from behavexplor.execution.service import Batch, Recipe, Service
@@ -87,15 +86,6 @@ def logical_of_target(executor: Executor, env: str) -> LogicalScenario:
     except Exception as error:
         raise InputError(f"The driving system ended its process while it was loaded: {error}") from error
     return DrawnLogicalScenario.from_json(described.decode()) if described else logical_scenario(env)
-
-
-def check_loading(executor: Executor) -> None:
-    """Load the ADS in the place where it will run.
-
-    Raises:
-        InputError: if it cannot be loaded.
-    """
-    executor.submit(FINGERPRINT, b"[]").result()
 
 
 def check_ads(executor: Executor, meanwhile: Callable[[], None] = lambda: None) -> list[str]:

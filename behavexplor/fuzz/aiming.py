@@ -102,7 +102,7 @@ class Aiming:
             for k in rng.permutation(meeting)[:_CHOICES]:
                 kind = kinds[rng.integers(len(kinds))]
                 npc = NPC(kind, route.name, tuple(Waypoint(*values) for values in waypoints[k].tolist()))
-                if self._logical.spawn_conflict(npc, others) is None:
+                if self._logical.first_to_fit([npc], others) is not None:
                     return npc
         return None
 

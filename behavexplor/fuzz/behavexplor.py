@@ -69,7 +69,6 @@ class Testcase:
     scenario: Scenario
     degree: float  # violation degree of its execution, the paper's O [m]
     behavior: int  # index of its behavior in the miner
-    selections: int = 0  # number of times that it was selected
     n_failed: int = 0  # number of its mutants that failed, the paper's #F
     n_passed: int = 0  # number of its mutants that did not fail, the paper's #NF
 
@@ -114,11 +113,9 @@ class Corpus:
         self._energies[self._places[number]] = energy
 
     def select(self, rng: np.random.Generator, *, uniform: bool = False) -> Testcase:
-        """Draw a testcase by energy (paper equation 18) or uniformly, and record the selection."""
+        """Draw a testcase by energy (paper equation 18) or uniformly."""
         energies = np.zeros(len(self)) if uniform else self.energies
-        chosen = self._testcases[rng.choice(len(self), p=selection_probabilities(energies))]
-        chosen.selections += 1
-        return chosen
+        return self._testcases[rng.choice(len(self), p=selection_probabilities(energies))]
 
 
 MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow

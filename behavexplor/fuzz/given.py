@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import ClassVar, Final
 
-from behavexplor.data.scenario import LogicalScenario, Scenario, parse_scenario
-from behavexplor.data.untrusted import read_file
+from behavexplor.data.scenario import LogicalScenario, read_scenarios
 from behavexplor.data.validation import validated
-from behavexplor.errors import InputError
 from behavexplor.fuzz.search import Candidate, SearchExhausted, WithoutLearning
 
 GIVEN: Final = "given"  # origin of candidates
@@ -34,24 +32,3 @@ class Given(WithoutLearning):
             raise SearchExhausted(f"All {self._asked} given scenarios have been executed.")
         self._asked += 1
         return Candidate(self._asked - 1, self._scenarios[self._asked - 1], GIVEN, None)
-
-
-def read_scenarios(path: Path, logical: LogicalScenario) -> list[Scenario]:
-    """Return the scenarios of a file, one as JSON in each line, as scenarios of a logical scenario.
-
-    They may have been found with another driver.
-
-    Raises:
-        InputError: if the file cannot be read, or a scenario is not valid; the message names the line.
-    """
-    try:
-        lines = read_file(path).decode().splitlines()
-    except (OSError, ValueError) as error:
-        raise InputError(f"The scenarios in {path} cannot be read: {error}") from None
-    scenarios = []
-    for number, line in enumerate(lines, 1):
-        try:
-            scenarios.append(logical.adopted(parse_scenario(line)))
-        except InputError as error:
-            raise InputError(f"{path}, line {number}: {error}") from None
-    return scenarios

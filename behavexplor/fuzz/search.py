@@ -91,7 +91,6 @@ class SearchMethod(Protocol):
         Raises:
             SearchExhausted: if there are no further candidates.
         """
-        ...
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
         """Learn from an execution.
@@ -99,11 +98,9 @@ class SearchMethod(Protocol):
         Returns:
             Figures about the execution, as JSON values for its record.
         """
-        ...
 
     def status(self) -> Mapping[str, float]:
         """Return figures for the live display, by name."""
-        ...
 
 
 class WithoutLearning:

@@ -78,7 +78,7 @@ def contact_fault(trace: Trace) -> Fault | None:
         return None
     if _struck_from_behind(trace, npc):
         return "ego_cut_in" if _changed_lanes(trace) else "npc_rear_end"
-    if _is_standing(trace):
+    if is_standing(trace):
         return "struck_stationary"
     return "npc_wreck" if had_crashed(trace, len(trace.time) - 1, npc) else "other"
 
@@ -113,7 +113,8 @@ def _struck_from_behind(trace: Trace, npc: int) -> bool:
     return bool(is_rear_end(ahead, turned, trace.size[0, 0], ego_speed, npc_speed))
 
 
-def _is_standing(trace: Trace) -> bool:
+def is_standing(trace: Trace) -> bool:
+    """Return whether the ego stands in the end."""
     return math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED
 
 
@@ -123,7 +124,7 @@ def _changed_lanes(trace: Trace) -> bool:
     In a highway-env environment, it must have changed lanes or entered a roundabout, and must not stand.
     """
     if has_lane_signals(trace):
-        if _is_standing(trace):
+        if is_standing(trace):
             return False
         last = len(trace.time) - 1
         return bool(lane_change(trace, last, CUT_IN_TIME)) or has_entered_ring(trace, last, CUT_IN_TIME)

@@ -43,15 +43,12 @@ class Spec(Protocol):
     @property
     def name(self) -> str:
         """Name of the requirement in records and reports."""
-        ...
 
     def degree(self, trace: Trace) -> float:
         """Return the violation degree, finite, in the spec's unit. A lower degree is closer to a violation."""
-        ...
 
     def violated(self, trace: Trace) -> bool:
         """Return whether the trace violates the spec."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError, Executor
-from behavexplor.execution.start import check_loading, logical_of_target, start_executor
+from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import own_violations
 from behavexplor.judge.robustness import load_specs
@@ -111,5 +111,4 @@ def opened_driver(
     with start_executor(target, workers) as executor:
         specs = load_specs(suite.specs)
         _check_names(suite, [spec.name for spec in specs])
-        check_loading(executor)
         yield Checker(executor, logical_of_target(executor, suite.env), specs)

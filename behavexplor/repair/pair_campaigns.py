@@ -4,7 +4,6 @@ In a comparison, both drive the same scenarios, each in a run folder of its own.
 differences: its requirements are "the first driver does not fail alone" and "the second driver does not fail alone".
 """
 
-import json
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
@@ -26,7 +25,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.simulation import fixed_logical_scenario
-from behavexplor.execution.start import check_loading, logical_of_target, start_executor
+from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.judge.fault import collision_fault, is_at_fault
@@ -229,13 +228,12 @@ def differences(
     with _loaded(first.target, workers) as ours, _loaded(second.target, workers) as theirs:
         method, specs = search_method(first, ours.logical), load_specs(first.specs)
         found = search_differences(method, ours, theirs, specs, budget=budget, batch=first.batch, observe=observe)
-    lines = [json.dumps(one.scenario.to_dict(), separators=(",", ":")) for one in found]
-    write_durably(make_folder(folder.parent, folder.name) / DIFFERENCES, "".join(f"{line}\n" for line in lines))
+    lines = "".join(f"{one.scenario.to_json()}\n" for one in found)
+    write_durably(make_folder(folder.parent, folder.name) / DIFFERENCES, lines)
     return found
 
 
 @contextmanager
 def _loaded(target: Target, workers: int) -> Iterator[LoadedDriver]:
     with start_executor(target, workers) as executor:
-        check_loading(executor)
         yield LoadedDriver(executor, logical_of_target(executor, target.env))

@@ -25,10 +25,9 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE
 from behavexplor.data.durable import make_folder, write_durably
-from behavexplor.data.scenario import LogicalScenario, Scenario, parse_scenario
+from behavexplor.data.scenario import LogicalScenario, Scenario, read_scenarios
 from behavexplor.data.target import Target
 from behavexplor.data.untrusted import read_file
-from behavexplor.errors import InputError
 from behavexplor.evaluation import start_judge, uniform_outcomes
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import logical_of_target
@@ -92,19 +91,6 @@ class Pool:
 
     def _text(self) -> str:
         return "".join(f"{scenario.to_json()}\n" for scenario in self._scenarios)
-
-
-def read_pool(path: Path) -> list[Scenario]:
-    """Return the scenarios of a file that `Pool.write` wrote.
-
-    Raises:
-        InputError: if the file cannot be read, or a scenario is not valid.
-    """
-    try:
-        lines = read_file(path).decode().splitlines()
-    except (OSError, ValueError) as error:
-        raise InputError(f"The pool {path} cannot be read: {error}") from None
-    return [parse_scenario(line) for line in lines]
 
 
 class PoolReporter(TrainingReporter):
@@ -207,7 +193,8 @@ def retrain(
     trainee = open_trainee(config.target, config.seed, config.envs)
     with closing(trainee.venv):
         rounds = finished_rounds(folder)
-        pool = Pool(trainee.scenarios.logical, config.share, _pool_of(folder, rounds))
+        logical = trainee.scenarios.logical
+        pool = Pool(logical, config.share, _pool_of(folder, rounds, logical))
         trainee.scenarios.sampler = pool.sample
         work = _Work(config, folder, trainee, pool)
         if rounds:
@@ -315,5 +302,5 @@ def validation_outcomes(target: Target, count: int) -> list[Outcomes]:
         return list(uniform_outcomes(executor, logical_of_target(executor, target.env), count, VALIDATION_SEED))
 
 
-def _pool_of(folder: Path, rounds: list[Round]) -> list[Any]:
-    return read_pool(folder / "rounds" / f"round-{rounds[-1].number:04d}.jsonl") if rounds else []
+def _pool_of(folder: Path, rounds: list[Round], logical: LogicalScenario) -> list[Scenario]:
+    return read_scenarios(folder / "rounds" / f"round-{rounds[-1].number:04d}.jsonl", logical) if rounds else []

@@ -10,7 +10,6 @@ crash was inevitable at that decision.
 """
 
 import json
-import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final, Literal, NamedTuple
@@ -19,7 +18,7 @@ import numpy as np
 
 from behavexplor.ads.careful import CarefulDriver
 from behavexplor.data.array_types import Array, Ints
-from behavexplor.data.conventions import MANEUVERS, STANDING_SPEED
+from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, config_text
 from behavexplor.data.trace import ARRIVED, CRASHED, Trace
 from behavexplor.envs.highway.drawn_vector_env import DrawnVectorEnv
@@ -28,6 +27,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout, rollout_all
 from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.fault import is_standing
 from behavexplor.judge.specs import judge
 from behavexplor.triage.findings import LastChance, OtherDriver
 
@@ -108,7 +108,7 @@ def find_driver(
     safe = [trace for _, trace in driven if not trace.signals[CRASHED].any()]
     if not safe:
         return OtherDrivers(None, len(driven), "unpreventable")
-    return OtherDrivers(None, len(driven), "standing_still_avoids_it" if any(map(_stands, safe)) else None)
+    return OtherDrivers(None, len(driven), "standing_still_avoids_it" if any(map(is_standing, safe)) else None)
 
 
 def _saved(scenario: DrawnScenario, crash: Trace, chance: LastChance) -> list[tuple[str, Trace]]:
@@ -131,14 +131,9 @@ def _saved(scenario: DrawnScenario, crash: Trace, chance: LastChance) -> list[tu
     ]
 
 
-def _stands(trace: Trace) -> bool:
-    """Return whether the ego stands in the end."""
-    return math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED
-
-
 def _only_stands(trace: Trace) -> bool:
     """Return whether the ego stands in the end, in an environment in which it need not arrive."""
-    return ARRIVED not in trace.signals and _stands(trace)
+    return ARRIVED not in trace.signals and is_standing(trace)
 
 
 def drive_again(scenario: DrawnScenario, driver: OtherDriver) -> Trace:

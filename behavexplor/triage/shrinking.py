@@ -25,11 +25,9 @@ class Property(Protocol):
 
     def held_by(self, candidates: Sequence[Parts]) -> Sequence[bool]:
         """Return whether each candidate has the property, as far as executing it once can tell."""
-        ...
 
     def kept_by(self, candidate: Parts) -> bool:
         """Return whether a candidate for which `held_by` is true may take the place of the scenario so far."""
-        ...
 
 
 class Shrunk(NamedTuple):

@@ -436,4 +436,4 @@ def test_curves_of_unique_violations_count_a_class_once():
     assert by_figure["failures"].found[-1].mean == 3
     assert by_figure["unique violations"].found[-1].mean == 2
     assert by_figure["failures at fault"].found[-1].mean == CLASSIFIED[0].at_fault()
-    assert by_figure["classes of failures at fault"].found[-1].mean == len(CLASSIFIED[0].kinds_at_fault())
+    assert by_figure["classes of failures at fault"].found[-1].mean == CLASSIFIED[0].classes_at_fault()

@@ -24,7 +24,7 @@ from behavexplor.data.drawn_scenario import Setup, config_text
 from behavexplor.data.target import Target
 from behavexplor.envs.making import make_recorded
 from behavexplor.errors import InputError
-from behavexplor.execution.start import check_loading, start_executor
+from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.repair.cases import CASES, SUITE, TEST
 from behavexplor.repair.retraining_rounds import RetrainingConfig
 from behavexplor.report import drawing
@@ -391,6 +391,6 @@ def test_a_confined_driver_cannot_make_a_folder_this_machines(tmp_path, monkeypa
             pytest.raises(InputError, match="Permission"),
         )
         with executor as workers, refused:
-            check_loading(workers)
+            logical_of_target(workers, "lane-follow")
     assert path.read_text() == ""
     assert [one.name for one in path.parent.iterdir()] == [path.name]

@@ -17,7 +17,7 @@ from behavexplor.execution.evaluator import EXECUTE, Evaluator
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout
 from behavexplor.execution.simulation import Simulation, compile_kernels
-from behavexplor.execution.start import InProcessExecutor, check_loading, start_executor
+from behavexplor.execution.start import InProcessExecutor, logical_of_target, start_executor
 from tests.drivers import Cruiser
 
 LOGICAL = IntersectionStraightEnv.logical
@@ -87,12 +87,12 @@ def test_a_third_partys_driver_is_not_run_in_this_process_unless_it_may_do_anyth
 
 def test_a_driver_is_loaded_to_see_whether_it_can_be():
     with start_executor(Target("lane-follow", "tests.drivers:cruiser"), 1) as executor:
-        check_loading(executor)
+        logical_of_target(executor, "lane-follow")
     with (
         start_executor(Target("lane-follow", "tests.drivers:nobody"), 1) as executor,
         pytest.raises(InputError, match="nobody"),
     ):
-        check_loading(executor)
+        logical_of_target(executor, "lane-follow")
 
 
 def test_errors_come_back_from_the_executor():

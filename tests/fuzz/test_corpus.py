@@ -35,13 +35,6 @@ def test_energies_keep_the_order_of_the_testcases_as_the_corpus_grows():
     assert corpus.energies.tolist() == list(range(100))
 
 
-def test_selections_are_recorded():
-    corpus = corpus_of(0.0, 1.0)
-    for i in range(5):
-        corpus.select(np.random.default_rng(i))
-    assert [testcase.selections for testcase in corpus] == [0, 5]
-
-
 def test_a_changed_energy_counts_at_once():
     corpus = corpus_of(0.0, 1.0)
     corpus.set_energy(0, 1.0)

@@ -209,7 +209,7 @@ def test_tuned_vehicles_are_valid_and_keep_their_route(seed):
         assert other.route == npc.route
         positions = [waypoint.position for waypoint in other.waypoints]
         assert positions == sorted(positions)
-        if LOGICAL.spawn_conflict(other, []) is None:
+        if LOGICAL.first_to_fit([other], []) is not None:
             LOGICAL.check(ScriptedScenario(LOGICAL.name, (other,)))
 
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from behavexplor.data.scenario import read_scenarios
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional import LaneChangeEnv
-from behavexplor.repair.retraining import FULL, MOST, Pool, read_pool
+from behavexplor.repair.retraining import FULL, MOST, Pool
 
 LOGICAL = LaneChangeEnv.logical
 
@@ -51,7 +52,7 @@ def test_the_oldest_leaves_a_full_pool():
 def test_it_is_the_same_when_it_is_read_again(tmp_path):
     pool = Pool(LOGICAL, 0.5, scenarios(4))
     pool.write(tmp_path / "pool.jsonl")
-    assert Pool(LOGICAL, 0.5, read_pool(tmp_path / "pool.jsonl")).digest == pool.digest
+    assert Pool(LOGICAL, 0.5, read_scenarios(tmp_path / "pool.jsonl", LOGICAL)).digest == pool.digest
 
 
 @pytest.mark.parametrize("share", [0.0, 0.9])
