@@ -191,7 +191,7 @@ def learning_env(env: str, num_envs: int = 64) -> LearningVecEnv:
     """Return the vector environment in which policies of this package are trained, for Stable-Baselines3.
 
     Its observations are the features of `behavexplor.ads.learned.observation`, and its actions are the accelerations
-    and lane choices of `behavexplor.ads.learned.choosing`.
+    and lane choices of `behavexplor.ads.learned.deciding`.
 
     Args:
         env: functional scenario, such as "lane-change".

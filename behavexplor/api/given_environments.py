@@ -32,8 +32,8 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
     has all keys of the scene, because a model could have been trained in another scene.
 
     Raises:
-        InputError: if it is neither; or if it cannot be made again as it is, because it has no spec, a replaced method,
-            a wrapper that would change what a driver observes or does, or a limit that would end episodes early.
+        InputError: if it is neither; or if it cannot be made again as it is: it has no spec, one of its methods is
+            replaced, a wrapper would change what a driver observes or does, or a limit would end episodes early.
     """
     if isinstance(given, str):
         return given, None
@@ -52,8 +52,9 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
     config = getattr(given.unwrapped, "config", {})
     _check_limit(given.spec, config)
     own, is_stated = default_config(given.spec.id), is_highway(given.spec.id)
-    kept = {key for key, value in config.items() if (is_stated and key not in DECLARED) or own.get(key, ...) != value}
-    return given.spec.id, json.loads(config_text({key: config[key] for key in kept}))
+    of_scene = set(config) - set(DECLARED) if is_stated else set()
+    changed = {key for key, value in config.items() if key not in own or own[key] != value}
+    return given.spec.id, json.loads(config_text({key: config[key] for key in of_scene | changed}))
 
 
 def given_config(of_env: Mapping[str, Any] | None, given: Mapping[str, Any] | None) -> dict[str, Any] | None:

@@ -41,8 +41,11 @@ class _MethodEntry(MethodChoice):
 class Experiment(Conditions):
     """Every search method in every environment with every ADS, once with each seed, all under the same conditions.
 
+    The limits, the traffic, and what the campaigns' code may do are in `Conditions`. `experiment_config` also checks
+    the ranges of values.
+
     Raises:
-        InputError: if a value is out of range, or if a named method is not in the experiment.
+        InputError: if a named method is not in the experiment.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -133,7 +136,8 @@ class Experiment(Conditions):
     def to_yaml(self) -> str:
         """Return the whole experiment as YAML, with the options of its methods."""
         values = asdict(self)
-        values |= {one.name: values.pop(one.name) for one in fields(Conditions)}  # after the experiment's own keys
+        for one in fields(Conditions):  # move these behind the experiment's own keys
+            values[one.name] = values.pop(one.name)
         values |= {key: list(values[key]) for key in ("trust", "specs")}
         values["ads"] = {env: list(systems) for env, systems in self.ads.items()}
         values["groups"] = {name: list(members) for name, members in self.groups.items()}
@@ -172,7 +176,8 @@ def read_experiment(name: str) -> Experiment:
     Raises:
         InputError: if there is no such file, or if it holds no valid experiment.
     """
-    values = read_config(name, "experiment (neither a file nor a shipped experiment)", "experiments")
+    what = "experiment (neither a file nor a shipped experiment)"
+    values = read_config(name, what=what, folder="experiments")
     return experiment_config({"name": Path(name).stem, **values})
 
 

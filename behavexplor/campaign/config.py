@@ -149,9 +149,11 @@ def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
 
 
 def read_config(
-    name: str, what: str = "configuration (neither a file nor a preset)", folder: str = ""
+    name: str, *, what: str = "configuration (neither a file nor a preset)", folder: str = ""
 ) -> dict[str, Any]:
-    """Read the values in the YAML file of a campaign, or in a preset in `configs/` or a folder there, such as "paper".
+    """Read the values in the YAML file of a campaign, or in a preset in `configs/`, such as "paper".
+
+    `what` names the kind of file in the message, and `folder` is the presets' folder in `configs/`.
 
     Raises:
         InputError: if there is no such file, or if it holds no mapping.

@@ -132,7 +132,7 @@ class StageClock:
 
     def __init__(self, earlier: Mapping[str, float] = MappingProxyType({})) -> None:
         self._earlier = earlier
-        self.seconds = {stage.value: 0.0 for stage in Stage}  # time in each stage since this clock was made [s]
+        self.seconds: dict[str, float] = dict.fromkeys(Stage, 0.0)  # time in each stage since this clock was made [s]
 
     @contextmanager
     def during(self, stage: Stage) -> Iterator[None]:
@@ -156,7 +156,7 @@ def known_stages(values: Any) -> dict[str, float]:
 
 
 def executing_and_analysing(stages: Mapping[str, float]) -> tuple[float, float]:
-    """Return the time spent on executions, and on everything else but the start [s]; nan if it is not known."""
+    """Return the time of executing, and that of choosing, judging, learning and storing [s]; nan if it is not known."""
     if not stages:
         return math.nan, math.nan
     executing = stages.get(Stage.EXECUTING, 0.0) + stages.get(Stage.WAITING, 0.0)

@@ -33,9 +33,10 @@ from behavexplor.execution.checked_imports import digests_of, import_checked, so
 from behavexplor.fuzz.methods import SHIPPED
 
 ADS, ENV, ENV_CONFIG, METHOD, SPECS = "ads", "env", "env_config", "method", "specs"  # keys that may name code
-DRIVING: Final = frozenset({ADS, ENV, ENV_CONFIG})
-JUDGED: Final = DRIVING | {SPECS}
-ALL: Final = JUDGED | {METHOD}
+# the keys of the code that is run
+DRIVING: Final = frozenset({ADS, ENV, ENV_CONFIG})  # to drive
+JUDGED: Final = DRIVING | {SPECS}  # to drive and judge
+ALL: Final = JUDGED | {METHOD}  # to search, too
 _IN_WORKERS: Final = JUDGED  # what a process imports that executes scenarios
 _HERE: Final = ALL - {ADS}  # what this process imports
 NAME: Final = "own-folders"  # file with the list of the digests of folders that this machine has made
@@ -70,7 +71,7 @@ class Claim:
     hint: str = ""  # another way to agree, for the message
 
     def digests(self, *parts: Sequence[Code]) -> tuple[dict[str, str], list[str]]:
-        """Return the digests of all modules; and for each part of the code, that of the folder with this code only."""
+        """Return the digests of the modules; and for each part of the code, the folder's as if it named only this."""
         modules = digests_of(one.module for one in self.code)
         files = files_of_model(self.policy)
         read = [(path.name, hashlib.sha256(read_file(path, MAX_BYTES)).hexdigest()) for path in files]
@@ -115,6 +116,7 @@ def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = A
     asks = claim.asks and ADS in runs
     if not running and not asks:
         return Permission()
+    # a folder is known by all its code or, where the user has named some of it, by the rest
     modules, digests = claim.digests(claim.code, left)
     if any(digest in consent.trust or is_own(digest) for digest in digests):
         import_checked(_named_by(modules, [one for one in running if one.key in _HERE]))

@@ -63,10 +63,11 @@ def check_identity(store: Store, now: Identity) -> None:
 
 
 def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on: bool = False) -> AcceptedConfig:
-    """Return the configuration of a run, by which something may be executed. The working directory may have changed.
+    """Return the configuration of a run, by which something may be executed.
 
-    If driver or other code are not those with which the run began, a warning is issued, or the campaign is refused if
-    it `goes_on`. `runs` are keys of the code that would be run, see `behavexplor.campaign.provenance.accepted`.
+    A policy's path is also looked for in the directory where the run began. If the driver or other code has changed
+    since then, a warning is issued; a campaign that `goes_on` is refused. `runs` are keys of the code that would be
+    run, see `behavexplor.campaign.provenance.accepted`.
 
     Raises:
         InputError: see `behavexplor.campaign.provenance.accepted`; also if the file of its policy has gone, or the

@@ -101,9 +101,10 @@ class Store:
 
     @classmethod
     def _locked(cls, folder: Path, config: str | None) -> Self:
-        """Lock a folder and open it for writing."""
+        """Make a folder if necessary, lock it, and open it for writing."""
         try:
-            lock = lock_folder(make_folder(folder))
+            make_folder(folder)
+            lock = lock_folder(folder)
         except OSError as error:
             raise _unwritable(folder, error) from None
         try:
@@ -211,13 +212,16 @@ class Store:
 
     @property
     def lost(self) -> Path | None:
-        """The run folder or its database if it was deleted or moved: SQLite goes on with a file without a name."""
+        """The run folder or its database, if one was deleted or moved, which SQLite does not notice; else None."""
         return next((path for path in (self.folder, self.folder / DATABASE) if not path.exists()), None)
 
     def commit(self, stages: Mapping[str, float] = MappingProxyType({})) -> list[Execution]:
-        """Write the added executions to disk, each failed one also to a file of its own, and return them.
+        """Write the added executions to disk, each failed one also to a file of its own, and return all of them.
 
         `stages` has the time in each stage so far [s].
+
+        Raises:
+            FileNotFoundError: if the folder or its database is `lost`.
         """
         if self.lost is not None:
             raise FileNotFoundError(f"{self.lost} was deleted or moved")
@@ -393,8 +397,8 @@ def _check_readable(path: Path, connection: sqlite3.Connection) -> None:
 def _check_format(path: Path, found: str) -> None:
     if found == DATABASE_FORMAT:
         return
-    other = re.fullmatch(r"[1-9]\d{0,8}", found)
-    mend = "another version of behavexplor wrote it" if other else "it is damaged, or not a campaign's database"
+    is_version = re.fullmatch(r"[1-9]\d{0,8}", found) is not None
+    mend = "another version of behavexplor wrote it" if is_version else "it is damaged, or not a campaign's database"
     raise InputError(f"{path} has format {found:.20}, but this version reads {DATABASE_FORMAT}: {mend}")
 
 

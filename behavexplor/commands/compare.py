@@ -4,7 +4,7 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, TextIO
@@ -36,14 +36,14 @@ TABLE, SEARCH = "comparison.json", "search"
 _REPLAYS = 100
 _CODES: Final = {NON_INFERIOR: OK, INFERIOR: CHECK_FAILED, "": UNDECIDED}
 
-_SEARCH: Final = {"method": "nsga2", "budget": CampaignConfig.budget}  # by default, with --search
+_METHOD: Final = "nsga2"  # of the search, by default
 _SETTINGS = settings(
     CampaignConfig,
     "env activation env_config seed method budget specs confirm traffic stochastic trust unconfined",
     box="campaign",
     env=Shown(f"that of A, or {CampaignConfig.env}"),
-    method=Shown(_SEARCH["method"], " Used with --search."),
-    budget=Shown(_SEARCH["budget"], " Used with --search, as a number of executions."),
+    method=Shown(_METHOD, " Used with --search."),
+    budget=Shown(CampaignConfig.budget, " Used with --search, as a number of executions."),
 )
 
 
@@ -68,7 +68,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     Args:
         first: The first driving system, as for --ads of fuzz: for example, a policy before it was trained further.
         second: The second driving system.
-        given: Settings of both campaigns.
+        given: Settings of both campaigns, of which method and budget are those of the search.
         scenarios: Number of uniformly sampled scenarios; with --margin, the greatest number.
         margin: Greatest difference of the shares of failures at fault that counts as no worse, such as 0.01. The exit
             code is 0 if B is no worse than A by more than that, 1 if it is worse, and 4 if that is not decided. The
@@ -84,11 +84,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     count = chosen_workers(workers)
     output = check_outputs(json_file, junit)
     _check(scenarios, margin, junit, out, (first, second))
-    env = named_env(given.get("env"), first) or CampaignConfig.env
-    # the given method and budget are for the search only: both campaigns draw `scenarios` uniformly
-    config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})
-    of_search = {name: given.get(name, default) for name, default in _SEARCH.items()}
-    searching = replace(config, **of_search, batch=CampaignConfig.batch)
+    config, searching = _configs(first, given, scenarios)
     if search:
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
     folder = out or stamped_folder("compare")
@@ -113,6 +109,26 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         properties = {"A": first, "B": second}
         write_junit(junit, f"compare {config.env}", tested, properties, time.monotonic() - begun)
     return OK if verdict is None else _CODES[verdict.found]
+
+
+def _configs(first: str, given: Mapping[str, Any], scenarios: int) -> tuple[CampaignConfig, CampaignConfig]:
+    """Return the configuration of the campaigns of the driver `first`, and that of the search for differences."""
+    config = campaign_config(
+        {
+            **given,
+            "env": named_env(given.get("env"), first) or CampaignConfig.env,  # as given, or that of A's training
+            "ads": first,
+            # both campaigns draw `scenarios` uniformly: the given method and budget are for the search only
+            **pair_campaigns.SETTINGS,
+            "budget": str(scenarios),
+        }
+    )
+    return config, replace(
+        config,
+        method=given.get("method", _METHOD),
+        budget=given.get("budget", CampaignConfig.budget),
+        batch=CampaignConfig.batch,
+    )
 
 
 def _check(

@@ -94,6 +94,11 @@ class Setup:
         return None
 
 
+def _are_finite_floats(values: list[float]) -> bool:
+    """Return whether all are finite floats, quickly. It is also False if their sum overflows."""
+    return set(map(type, values)) <= {float} and math.isfinite(sum(values))
+
+
 @dataclass(frozen=True, slots=True)
 class DrawnScenario:
     """A concrete scenario of a highway-env environment.
@@ -121,8 +126,8 @@ class DrawnScenario:
         every = list(chain.from_iterable(values for _, values in self.draws))
         if len(every) > MAX_DRAWS:
             raise InputError(f"draws: at most {MAX_DRAWS} can be given")
-        if set(map(type, every)) <= {float} and math.isfinite(sum(every)):
-            return  # nearly always, and faster than the checks below: a finite sum has no inf or nan in it
+        if _are_finite_floats(every):
+            return  # nearly always; the loop below finds what is wrong
         for name, values in self.draws:
             for i, value in enumerate(values):
                 if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):

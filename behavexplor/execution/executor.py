@@ -1,4 +1,7 @@
-"""Executor: calls the functions of a service, in this process, in worker processes or on a cluster; and its errors."""
+"""Executor: calls the functions of a service, in this process, in worker processes or on a cluster.
+
+A call fails with an `ADSError` if the ADS does. `in_order` limits the number of calls under way.
+"""
 
 import os
 from abc import ABC, abstractmethod
@@ -9,7 +12,7 @@ from types import TracebackType
 from typing import ClassVar, Final, Self
 
 MOST_WORKERS: Final = 64  # processes on one machine
-AHEAD: Final = 4  # calls under way for each worker
+AHEAD: Final = 4  # calls that `in_order` keeps under way for each worker, in triage and minimization
 LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in one process
 BATCHES: Final = 2  # batches of calls for each worker: one under way, and one ahead
 
@@ -21,12 +24,12 @@ class Executor(ABC):
     """
 
     runs_here: ClassVar[bool] = False  # whether calls run in this process, while their results are waited for
-    # number of further calls with which everything that has begun would be busy, and have one more batch ahead
+    # number of further calls until each worker that has begun has `BATCHES` batches of them; negative if there are more
     room: int = 0
 
     @abstractmethod
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
-        """Call a function of the service with its argument, and return the future result.
+        """Call the function with this name with the argument `data`, and return the future result.
 
         The exception of the future is an `ADSError` if the ADS failed, and an `InputError` if the service could not
         begin or rejected the data.
@@ -56,8 +59,8 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-# raised: it raised an exception; invalid: its answer is not a valid action; exit: it called `sys.exit`;
-# memory: it ran out of memory; hang: it did not answer in time; crash: its process died
+# How an ADS fails. raised: it raised an exception; invalid: its answer is not a valid action; exit: it called
+# `sys.exit`; memory: it ran out of memory; hang: it did not answer in time; crash: its process died.
 ADS_FAILURES: Final = ("raised", "invalid", "exit", "memory", "hang", "crash")
 
 
@@ -72,7 +75,10 @@ class ADSError(Exception):
 
 
 def in_order(executor: Executor, calls: Iterable[tuple[str, bytes]], ahead: int) -> Iterator["Future[bytes]"]:
-    """Call functions with their arguments, and yield the futures in order, with at most `ahead` calls behind each."""
+    """Call functions, each given by its name and argument, and yield the futures in order.
+
+    While one is waited for, at most `ahead` calls behind it are under way.
+    """
     pending: deque[Future[bytes]] = deque()
     for function, data in calls:
         pending.append(executor.submit(function, data))

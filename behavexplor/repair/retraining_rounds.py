@@ -39,9 +39,10 @@ class RetrainingConfig:
     Attributes:
         env: Environment: S1 to S4, one of highway-env's own such as highway-fast-v0, or "module:id".
         policy: The policy: "learned:NAME", the file of a network that `train` made, or a model of Stable-Baselines3.
-        pool: Scenarios in which the policy fails, to be mixed in: none; own, those of its training; found, those that
-            campaigns find; or both.
-        share: Probability that the scenario of an episode comes from this pool; lower for fewer than 100 scenarios.
+        pool: Scenarios in which the policy fails, mixed into its training: "none"; "own" (found in this training);
+            "found" (by campaigns); or "both".
+        share: Probability that the scenario of an episode comes from this pool. While the pool has fewer than 100
+            scenarios, it is lower in proportion.
         rounds: Number of rounds. Each trains and validates; with --pool found or both, a search comes first.
         steps: Number of decisions in a round, including those of the campaign, but not those that train a new critic or
             fill a replay buffer.
@@ -50,7 +51,7 @@ class RetrainingConfig:
         rate: Learning rate of the first round.
         method: Search method of the campaigns.
         budget: Number of executions of each campaign.
-        validation: Number of scenarios in which each round is validated.
+        validation: Number of scenarios in which each round is validated, to choose the best one.
         env_config: Configuration of the environment as in the policy's training, as far as it differs from what the
             policy declares: keys of highway-env (docs/highway-env.md).
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/highway-policies.md).
@@ -67,7 +68,8 @@ class RetrainingConfig:
     seed: Annotated[int, between(0, 2**63 - 1)] = 0
     # None for the number in the model's file, or 64 for a network
     envs: Annotated[int, between(1, MOST_ENVS)] | None = None
-    rate: Annotated[float, between(1e-7, 0.1)] | None = None  # None for the rate in the model's file, or else 2.5e-4
+    # None for the rate in the model's file, or 2.5e-4 if it has none
+    rate: Annotated[float, between(1e-7, 0.1)] | None = None
     method: str = "uniform"
     budget: Annotated[int, between(1, 100_000)] = 250
     validation: Annotated[int, between(1, 100_000)] = 1000
@@ -81,7 +83,7 @@ class RetrainingConfig:
     @property
     def claim(self) -> Claim:
         """What the configuration says that may have code run. A policy's file is read without running code."""
-        code = code_of(self.env, "", self.method if self.searches else "", (), self.env_config)
+        code = code_of(self.env, method=self.method if self.searches else "", env_config=self.env_config)
         return Claim(Path(CONFIG), asdict(self), code)
 
     @property

@@ -136,9 +136,9 @@ def _value_text(value: Any) -> str:
 
 
 def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first: Sequence[int] = ()) -> Section:
-    """Return the section about a run, with the replays of the executions that are wanted first, and up to `limit` more.
+    """Return the section about a run, with the replays of the executions `wanted_first`, and up to `limit` others.
 
-    The number of the run in the page counts from 1; `label` names it in charts.
+    `number` counts the runs in the page from 1; `label` names the run in charts.
 
     Raises:
         InputError: if the run is damaged.
@@ -150,7 +150,9 @@ def section(number: int, run: ReportedRun, label: str, limit: int, wanted_first:
     new = [entry.id for entry in run.entries if entry.novel and not entry.violated]
     strips += [(name, PASSED) for name in evenly(new, _PASSED_RIBBONS)]
     compared = evenly([entry.id for entry in run.entries], MOST_COMPARED)
-    wanted = list(dict.fromkeys([*wanted_first, *sorted(replayed), *(name for name, _ in strips), *compared]))
+    # the most important first, because only as many are read as fit into the page
+    by_importance = [*wanted_first, *sorted(replayed), *(name for name, _ in strips), *compared]
+    wanted = list(dict.fromkeys(by_importance))
     traces, records = _looked_at(run, wanted, replayed)
     strips = [(name, class_id) for name, class_id in strips if name in traces]
     found = find_behaviors(traces)
@@ -184,18 +186,19 @@ def _looked_at(
     """
     traces: dict[int, Trace] = {}
     records: dict[int, Record] = {}
-    places, states = MOST_PLACES, float(MOST_STATES)
+    places_left, states_left = MOST_PLACES, float(MOST_STATES)
     with closing(Store.read(run.folder)) as store:
         for number in wanted:
             execution = store.execution(number)
             trace = execution.load_trace()
-            places, states = places - trace.heading.size, states - trace.duration / TIME_STEP
-            if traces and min(places, states) < 0:
+            places_left -= trace.heading.size
+            states_left -= trace.duration / TIME_STEP
+            if traces and min(places_left, states_left) < 0:
                 break
             traces[number] = trace
             if number in replayed and _fits(trace):
                 records[number] = execution.record
-    return dict(sorted(traces.items())), dict(sorted(records.items()))
+    return dict(sorted(traces.items())), dict(sorted(records.items()))  # the page depends on their order
 
 
 def evenly(numbers: Sequence[int], count: int) -> list[int]:
@@ -330,8 +333,9 @@ _FIGURES: Final[dict[str, Callable[[ReportedRun], str]]] = {  # rows of the comp
 def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ()) -> str:
     """Return the report on runs, at least one, as a page in ASCII. Equal run folders give equal pages.
 
-    `replays` is the greatest number of replays of each run. `pairs` compares the drivers of the first two in the same
-    scenarios; the page then begins with what the second one fixes and breaks.
+    `replays` is the greatest number of replays of each run. `pairs` compares the drivers of the first two runs in the
+    same scenarios, see `behavexplor.repair.pairs`; the page then begins with what the second driver fixes and breaks.
+    It is empty for runs that are not compared.
 
     Raises:
         InputError: if a run is damaged, or the number of replays is out of range.
@@ -339,10 +343,11 @@ def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ())
     if not 0 <= replays <= MOST_REPLAYS:
         raise InputError(f"The number of replays must lie between 0 and {MOST_REPLAYS}, not be {replays}")
     words = [{finding.id: finding.words for finding in run.findings} for run in runs[:2]]
-    found = side_by_side(pairs, words, replays) if pairs else None
+    compared = side_by_side(pairs, words, replays) if pairs else None
     labels = _labels(runs, are_paired=bool(pairs))
-    wanted_first = [found.shown if found and i < 2 else () for i in range(len(runs))]
-    sections = [section(i + 1, run, labels[i], replays, wanted_first[i]) for i, run in enumerate(runs)]
+    wanted_first = [() if compared is None else compared.shown] * 2 + [()] * len(runs)  # the first two are compared
+    of_runs = zip(runs, labels, wanted_first, strict=False)
+    sections = [section(i, run, label, replays, wanted) for i, (run, label, wanted) in enumerate(of_runs, 1)]
     several = len(runs) > 1
     return rendered(
         "page.html.jinja",
@@ -351,7 +356,7 @@ def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ())
         comparison=comparison(runs) if several else (),
         overlaid=curves(runs, labels) if several and not pairs else (),
         class_rows=class_rows(runs) if several else (),
-        pairs=found,
+        pairs=compared,
         values={"runs": [part.values for part in sections]},
         PASSED=PASSED,
     )
@@ -359,8 +364,9 @@ def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ())
 
 def _labels(runs: Sequence[ReportedRun], *, are_paired: bool) -> list[str]:
     """Return what the runs are called in a page: by their drivers if these are compared, or else by their folders."""
-    if are_paired:
-        return [f"{'AB'[i % 2]}: {run.config.ads}{', searched' if i > 1 else ''}" for i, run in enumerate(runs)]
+    if are_paired:  # two runs in drawn scenarios, then two in searched ones, if any
+        patterns = ("A: {}", "B: {}", "A: {}, searched", "B: {}, searched")
+        return [pattern.format(run.config.ads) for pattern, run in zip(patterns, runs, strict=False)]
     return [run.name if len(runs) == 1 else f"{i} {run.name}" for i, run in enumerate(runs, 1)]
 
 

@@ -12,11 +12,11 @@ from behavexplor.data.trace import OBSTACLE, PARTNER, Trace
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import R1, violation_event
 from behavexplor.judge.fault import AT_FAULT, Fault, contact_fault
-from behavexplor.triage.closed_loop import Answer, find_driver
+from behavexplor.triage.closed_loop import TrialVerdict, find_driver
 from behavexplor.triage.findings import LastChance, OtherDriver, Witness
 from behavexplor.triage.witness import find_witness
 
-Kind = Fault | Answer  # by the trace, or by what other drivers and evasions tell
+Kind = Fault | TrialVerdict  # by the trace, or by trials with other drivers and evasions; values in `Blame.kind`
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,8 @@ class Blame:
     # - `unpreventable`: nothing that was tried avoids the collision; it is with a vehicle, and no last chance is known.
     # - `standing_still_avoids_it`: in a highway-env environment, all drivers that avoid it fail otherwise, and one of
     #   them stands in the end.
-    # - `npc_wreck`, `other`: none of these; or nothing could be tried in the environment.
+    # - `npc_wreck` (the touched vehicle had crashed before) or `other`, by the trace: none of these holds, or nothing
+    #   could be tried, because the environment cannot run in lock-step or other drivers cannot drive in it.
     kind: Kind
     in_junction: bool  # whether the ego was inside a junction; False in highway-env, where it is not known
     # evasion that avoids the collision, or in a highway-env environment another driver that keeps all its requirements;
@@ -48,8 +49,8 @@ def blame(
 ) -> Blame | None:
     """Return the verdict on the collision at the end of an execution; None if the ego touches no vehicle there.
 
-    The ADS of the simulation is not used; the generator is for random evasions. `chance` is the ego's last chance to
-    avoid the collision, if it is known.
+    `simulation` has the environment of the execution; its ADS is not used. `rng` draws random evasions, or the actions
+    of random drivers. `chance` is the ego's last chance to avoid the collision, if it is known.
     """
     by_trace, event = contact_fault(trace), violation_event(trace, ("collision",))
     if by_trace is None or event is None or event.spec != R1:
@@ -74,7 +75,8 @@ def _blame_in_reactive_traffic(
     others = find_driver(scenario, trace, chance, rng)
     kind = by_trace if others.answer is None else others.answer  # None: they do not decide it
     is_obstacle = PARTNER in trace.signals and trace.signals[PARTNER][-1] == OBSTACLE
-    if kind == "unpreventable" and (is_obstacle or chance is not None):  # others crash as well, which is no excuse
+    could_avoid_it = is_obstacle or chance is not None  # even if other drivers do not: an obstacle stands still
+    if kind == "unpreventable" and could_avoid_it:
         kind = by_trace
     return Blame(kind, in_junction=False, witness=others.driver, tried=others.tried)
 

@@ -42,7 +42,7 @@ MOST_BRANCHINGS: Final = 300  # states from which all actions are driven before 
 
 Actions = Ints
 State = tuple[Array, ...]  # copy of the state of an episode
-Answer = Literal["preventable", "standing_still_avoids_it", "unpreventable"]
+TrialVerdict = Literal["preventable", "standing_still_avoids_it", "unpreventable"]
 
 
 class OtherDrivers(NamedTuple):
@@ -52,7 +52,7 @@ class OtherDrivers(NamedTuple):
     driver: OtherDriver | None
     tried: int  # number of drivers; 0 if they cannot drive in the environment
     # None if none was tried, or if those without a crash failed in another way and none of them stands in the end
-    answer: Answer | None
+    answer: TrialVerdict | None
 
 
 class ScriptedDriver:

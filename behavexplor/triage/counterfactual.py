@@ -32,92 +32,15 @@ UPSTREAM: Final = ("prediction", "decision", "path", "speed", "control")  # the 
 
 
 @dataclass(frozen=True)
-class Fork:
-    """An alternative continuation of a recorded execution."""
-
-    parameters: Parameters  # parameters of the planner after the fork
-    decision: int = 0  # index of the first decision with these parameters; 0 for the whole execution
-
-
-class ForkedPlanner:
-    """An ADS that drives the egos of a batch as recorded, each up to its own fork.
-
-    Up to its fork, an ego gets the recorded commands, which are `actions`, shape (D, 2). Meanwhile, the recorded
-    planner runs as well, so that the planner that takes over has the right memory. Row i of the batch is fork i.
-    """
-
-    def __init__(self, planner: RulePlanner, actions: Floats, forks: Sequence[Fork]) -> None:
-        self._planner = planner
-        self._actions = actions
-        self._others = [_rule_planner(planner.roadmap, fork.parameters) for fork in forks]
-        self._decision = np.array([fork.decision for fork in forks])
-        self.observation: Mapping[str, Any] = planner.observation
-        self.action: Mapping[str, Any] = planner.action
-        self.policy_frequency = planner.policy_frequency
-
-    def predict(
-        self,
-        observation: Floats,
-        state: tuple[int, Floats | None] | None = None,
-        episode_start: Bools | None = None,  # noqa: ARG002 - all egos begin together
-        deterministic: bool = True,  # noqa: ARG002 - the planner is always deterministic
-    ) -> tuple[Floats, tuple[int, Floats]]:
-        """Return the commands of all egos, as in `behavexplor.ads.interface.ADS`. The state counts the decisions."""
-        step, memory = (0, None) if state is None else state
-        together = self._decision > step
-        actions = np.empty((len(observation), 2))
-        after: list[Floats] = [np.empty(0)] * len(observation)
-        if together.any():
-            first = int(together.argmax())  # egos before their forks have the same position and the same memory
-            _, common = self._planner.predict(observation[[first]], None if memory is None else memory[[first]])
-            actions[together] = self._actions[step]
-        for row, other in enumerate(self._others):
-            if together[row]:
-                after[row] = common[0]
-                continue
-            own, memories = other.predict(observation[[row]], None if memory is None else memory[[row]])
-            actions[row], after[row] = own[0], memories[0]
-        return actions, (step + 1, np.stack(after))
-
-
-@lru_cache(maxsize=128)  # the same few planners continue all failures of a run, and none of them remembers anything
-def _rule_planner(roadmap: RoadMap, parameters: Parameters) -> RulePlanner:
-    return RulePlanner(roadmap, parameters)
-
-
-def run_forks(
-    simulation: Simulation, scenario: Scenario, trace: Trace, forks: Sequence[Fork], seconds: float | None = None
-) -> list[Trace]:
-    """Continue a recorded execution of the rule planner along several forks, and return the trace of each.
-
-    There is at least one fork. `seconds` limits the duration of the replays [s]; None for whole executions. A replay
-    may be longer.
-    """
-    planner = simulation.ads
-    limits = {} if seconds is None else {"duration": seconds}
-    envs = simulation.vector_env(len(forks), **limits)
-    if envs is None:
-        return [rollout(simulation.env, ForkedPlanner(planner, trace.actions, [fork]), scenario) for fork in forks]
-    ads = ForkedPlanner(planner, trace.actions, forks)
-    ended = dict(rollout_all(envs, ads, [scenario] * len(forks)))
-    envs.close()
-    return [ended[row] for row in range(len(forks))]
-
-
-def without(parameters: Parameters, names: Sequence[str]) -> Parameters:
-    """Return parameters with the named ones, which are severities of weaknesses, set to 0."""
-    return replace(parameters, **dict.fromkeys(names, 0.0))
-
-
-@dataclass(frozen=True)
 class Cause:
     """Why the rule planner failed."""
 
     # the weakness to blame, see `primary_cause`; "environment" if the planner without any weakness violates the same
     # spec; "unknown" if no single weakness is to blame
     primary: str
-    necessary: tuple[str, ...]  # weaknesses without which the violation does not happen, upstream first
-    # weaknesses of the violated spec that cause it without any other weakness of that spec, upstream first
+    # weaknesses without which the violation does not happen, upstream first
+    necessary: tuple[str, ...]
+    # weaknesses of the violated spec that cause the violation without any other weakness of that spec, upstream first
     sufficient: tuple[str, ...]
 
 
@@ -191,6 +114,11 @@ def _causes(
     return necessary, () if without_kin else alone
 
 
+def without(parameters: Parameters, names: Sequence[str]) -> Parameters:
+    """Return parameters with the named ones, which are severities of weaknesses, set to 0."""
+    return replace(parameters, **dict.fromkeys(names, 0.0))
+
+
 def _violates(trace: Trace, spec: str, until: float | None = None) -> bool:
     """Return whether an execution violates a spec, by the time `until` [s] if given."""
     violated = tuple(name for name in judge(trace).violated if REQUIREMENTS.get(name) == spec)
@@ -200,3 +128,77 @@ def _violates(trace: Trace, spec: str, until: float | None = None) -> bool:
 
 def _switches(weaknesses: Iterable[str]) -> list[str]:
     return [WEAKNESSES[name].parameter for name in weaknesses]
+
+
+@dataclass(frozen=True)
+class Fork:
+    """An alternative continuation of a recorded execution."""
+
+    parameters: Parameters  # parameters of the planner after the fork
+    decision: int = 0  # index of the first decision with these parameters; 0 for the whole execution
+
+
+class ForkedPlanner:
+    """An ADS that drives the egos of a batch as recorded, each up to its own fork.
+
+    Up to its fork, an ego gets the recorded commands. Meanwhile, the recorded planner runs as well, so that the planner
+    that takes over has the right memory. Row i of the batch is fork i. `planner` is the planner of the recorded
+    execution, and `actions` are its commands, shape (D, 2).
+    """
+
+    def __init__(self, planner: RulePlanner, actions: Floats, forks: Sequence[Fork]) -> None:
+        self._planner = planner
+        self._actions = actions
+        self._others = [_rule_planner(planner.roadmap, fork.parameters) for fork in forks]
+        self._decision = np.array([fork.decision for fork in forks])
+        self.observation: Mapping[str, Any] = planner.observation
+        self.action: Mapping[str, Any] = planner.action
+        self.policy_frequency = planner.policy_frequency
+
+    def predict(
+        self,
+        observation: Floats,
+        state: tuple[int, Floats | None] | None = None,
+        episode_start: Bools | None = None,  # noqa: ARG002 - all egos begin together
+        deterministic: bool = True,  # noqa: ARG002 - the planner is always deterministic
+    ) -> tuple[Floats, tuple[int, Floats]]:
+        """Return the commands of all egos, as in `behavexplor.ads.interface.ADS`. The state counts the decisions."""
+        step, memory = (0, None) if state is None else state
+        together = self._decision > step
+        actions = np.empty((len(observation), 2))
+        after: list[Floats] = [np.empty(0)] * len(observation)
+        if together.any():
+            first = int(together.argmax())  # egos before their forks have the same position and the same memory
+            _, common = self._planner.predict(observation[[first]], None if memory is None else memory[[first]])
+            actions[together] = self._actions[step]
+        for row, other in enumerate(self._others):
+            if together[row]:
+                after[row] = common[0]
+                continue
+            own, memories = other.predict(observation[[row]], None if memory is None else memory[[row]])
+            actions[row], after[row] = own[0], memories[0]
+        return actions, (step + 1, np.stack(after))
+
+
+@lru_cache(maxsize=128)  # the same few planners continue all failures of a run, and none of them remembers anything
+def _rule_planner(roadmap: RoadMap, parameters: Parameters) -> RulePlanner:
+    return RulePlanner(roadmap, parameters)
+
+
+def run_forks(
+    simulation: Simulation, scenario: Scenario, trace: Trace, forks: Sequence[Fork], seconds: float | None = None
+) -> list[Trace]:
+    """Continue a recorded execution along one or more forks, and return the trace of each.
+
+    The ADS of the simulation must be the rule planner of the recorded execution. `seconds` limits the duration of the
+    replays [s]; None for whole executions. A replay may be longer.
+    """
+    planner = simulation.ads
+    limits = {} if seconds is None else {"duration": seconds}
+    envs = simulation.vector_env(len(forks), **limits)
+    if envs is None:
+        return [rollout(simulation.env, ForkedPlanner(planner, trace.actions, [fork]), scenario) for fork in forks]
+    ads = ForkedPlanner(planner, trace.actions, forks)
+    ended = dict(rollout_all(envs, ads, [scenario] * len(forks)))
+    envs.close()
+    return [ended[row] for row in range(len(forks))]

@@ -81,10 +81,10 @@ def test_a_larger_budget_or_another_order_leaves_a_folder_this_machines_and_anot
 ):
     run(config, tmp_path / "run", resume=False)
     stored = stored_config(tmp_path / "run")
-    assert accepted(replace(stored, says=replace(config, budget="30")))
-    assert accepted(replace(stored, says=replace(config, options=dict([*config.options.items()][::-1]))))
+    assert accepted(replace(stored, unverified=replace(config, budget="30")))
+    assert accepted(replace(stored, unverified=replace(config, options=dict([*config.options.items()][::-1]))))
     with pytest.raises(InputError, match="this machine has not made this folder"):
-        accepted(replace(stored, says=replace(config, seed=9)))
+        accepted(replace(stored, unverified=replace(config, seed=9)))
 
 
 def test_the_list_has_each_folder_once_and_is_the_users_alone(machine):

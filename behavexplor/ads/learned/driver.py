@@ -1,4 +1,7 @@
-"""A learned policy as a driving system under test, with the weights of its network as plain arrays."""
+"""A learned policy as a driving system under test, with the weights of its network as plain arrays.
+
+The network is evaluated here, too: its sums run in a fixed order, so that no last bit depends on the batch.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from behavexplor.ads.learned import choosing
+from behavexplor.ads.learned import deciding
 from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.learned.observation import N_FEATURES, see
 from behavexplor.ads.learned.route_table import Course, make_course
@@ -19,7 +22,7 @@ from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for, kernel_in_place, kernel_inner
 
 _CACHE_LINE: Final = 64  # bytes
-POLICY_FREQUENCY: Final = round(1 / choosing.PERIOD)
+POLICY_FREQUENCY: Final = round(1 / deciding.PERIOD)
 
 
 class LearnedDriver:
@@ -44,21 +47,23 @@ class LearnedDriver:
         widths = [N_FEATURES, *(len(bias) for _, bias in network.layers)]
         shapes = [(weights.shape, bias.shape) for weights, bias in network.layers]
         expected = [((after, before), (after,)) for before, after in pairwise(widths)]
-        if shapes != expected or widths[-1] != choosing.N_ACTIONS:
+        if shapes != expected or widths[-1] != deciding.N_ACTIONS:
             raise InputError(
-                f"Expected a network of {N_FEATURES} inputs and {choosing.N_ACTIONS} outputs, got {shapes}"
+                f"Expected a network of {N_FEATURES} inputs and {deciding.N_ACTIONS} outputs, got {shapes}"
             )
         self._network = as_network(network.layers)
-        self._rule = choosing.MEAN if network.rule == "mean" else choosing.MOST_PROBABLE
+        self._rule = deciding.MEAN if network.rule == "mean" else deciding.MOST_PROBABLE
         self._widest = max(widths)
         # arguments of the smallest shapes, for whose types the kernel is compiled
         scenes = np.zeros((1, 1, N_COLUMNS))
-        memory = np.zeros((1, choosing.N_MEMORIES))
+        memory = np.zeros((1, deciding.N_MEMORIES))
         rooms = np.empty((2, 1, self._widest))  # for the values of layers, see `evaluate`
         rows = np.empty(1, dtype=np.int64)
-        tables = (self._course, self._network, choosing.ACCELERATION_TABLE)
+        shares = np.zeros(1)
+        actions = np.zeros((1, 2))
+        tables = (self._course, self._network, deciding.ACCELERATION_TABLE)
         self._drive_all: Any = compiled_for(
-            _drive_all, *tables, scenes, memory, self._rule, np.zeros(1), rooms, rows, np.zeros((1, 2))
+            _drive_all, *tables, scenes, memory, self._rule, shares, rooms, rows, actions
         )
 
     def predict(
@@ -70,8 +75,14 @@ class LearnedDriver:
     ) -> tuple[Floats, Floats]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
-        Scenes have the shape (B, 1 + n, 8), see `behavexplor.data.scene`, and the state (B, 3). Actions, acceleration
-        and steering, are in [-1, 1], shape (B, 2). `deterministic` has no effect: this method never samples an action.
+        Args:
+            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
+            state: state returned by the last call, shape (B, 3); None in the first call.
+            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
+            deterministic: without effect. This method never samples an action.
+
+        Returns:
+            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
 
         Raises:
             InputError: if an array has the wrong shape.
@@ -86,7 +97,7 @@ class LearnedDriver:
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the offset of the ego's wanted lane from the route [m], shape (B,)."""
-        return {"wanted_offset": state[:, choosing.WANTED]}
+        return {"wanted_offset": state[:, deciding.WANTED]}
 
     def _drive(
         self, observation: Floats, state: Floats | None, episode_start: Bools | None, shares: Floats | None
@@ -96,14 +107,14 @@ class LearnedDriver:
         The actions are drawn by `shares`, numbers in [0, 1), shape (B,); None for the network's own rule.
         """
         scenes = as_scenes(observation)
-        memory = as_memory(state, episode_start, (len(scenes), choosing.N_MEMORIES))
-        rule = choosing.DRAWN
+        memory = as_memory(state, episode_start, (len(scenes), deciding.N_MEMORIES))
+        rule = deciding.DRAWN
         if shares is None:
             rule, shares = self._rule, np.zeros(len(scenes))
         rooms = np.empty((2, len(scenes), self._widest))
         rows = np.empty(len(scenes), dtype=np.int64)
         actions = np.zeros((len(scenes), 2))
-        tables = (self._course, self._network, choosing.ACCELERATION_TABLE)
+        tables = (self._course, self._network, deciding.ACCELERATION_TABLE)
         self._drive_all(*tables, scenes, memory, rule, shares, rooms, rows, actions)
         return actions, memory
 
@@ -115,26 +126,26 @@ class CourseKernels:
         self._course = course
         # arguments of the smallest shapes, for whose types the kernels are compiled
         scenes = np.zeros((1, 1, N_COLUMNS))
-        memory = np.zeros((1, choosing.N_MEMORIES))
+        memory = np.zeros((1, deciding.N_MEMORIES))
         seen = np.zeros((1, N_FEATURES))
-        decisions = choosing.Decisions(np.zeros(1), np.zeros(1, dtype=np.int64))
+        decisions = deciding.Decisions(np.zeros(1), np.zeros(1, dtype=np.int64))
         self._see_all = compiled_for(_see_all, course, scenes, memory, seen)
         self._track_all = compiled_for(_track_all, course, scenes, decisions, memory, np.zeros((1, 2)))
 
     def see(self, scenes: Floats, memory: Floats) -> Floats:
         """Compute the features that policies see, shape (B, N_FEATURES).
 
-        Scenes, shape (B, 1 + n, 8), and memory, shape (B, 3), are contiguous. A row of zeros in the memory begins an
-        episode; the memory is changed in place.
+        `scenes`, shape (B, 1 + n, 8), see `behavexplor.data.scene`, and `memory`, shape (B, 3), must be contiguous. A
+        row of zeros in the memory begins an episode. The memory is changed in place.
         """
         seen = np.zeros((len(scenes), N_FEATURES))
         self._see_all(self._course, scenes, memory, seen)
         return seen
 
-    def track(self, scenes: Floats, decisions: choosing.Decisions, memory: Floats) -> Floats:
+    def track(self, scenes: Floats, decisions: deciding.Decisions, memory: Floats) -> Floats:
         """Compute the commands for policies' decisions, shape (B, 2), each in [-1, 1] over its range.
 
-        Scenes, shape (B, 1 + n, 8), and memory, shape (B, 3), are contiguous; the memory is changed in place.
+        For `scenes` and `memory`, see `see`. The memory is changed in place.
         """
         actions = np.zeros((len(scenes), 2))
         self._track_all(self._course, scenes, decisions, memory, actions)
@@ -196,7 +207,7 @@ def _drive_all(  # noqa: PLR0913, PLR0917 - a tuple of them would be copied in e
             count += 1
     outputs = evaluate(network, rooms, rows[:count])
     for i in rows[:count]:
-        wanted, lane = choosing.choose(rooms[outputs, i, : choosing.N_ACTIONS], accelerations, rule, shares[i])
+        wanted, lane = deciding.choose(rooms[outputs, i, : deciding.N_ACTIONS], accelerations, rule, shares[i])
         _track(course, scenes[i], wanted, lane, memory[i], actions[i])
 
 
@@ -209,7 +220,7 @@ def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> No
 
 
 @kernel_in_place
-def _track_all(course: Course, scenes: Floats, decisions: choosing.Decisions, memory: Floats, actions: Floats) -> None:
+def _track_all(course: Course, scenes: Floats, decisions: deciding.Decisions, memory: Floats, actions: Floats) -> None:
     """Fill in the actions for policies' decisions, shape (B, 2), each in [-1, 1], of the egos that are present."""
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:
@@ -219,15 +230,15 @@ def _track_all(course: Course, scenes: Floats, decisions: choosing.Decisions, me
 @kernel_inner
 def _see(course: Course, scene: Floats, memory: Floats, seen: Floats) -> None:
     """Fill in what an ego sees. If its memory is one of zeros, begin it first."""
-    if memory[choosing.STARTED] == 0.0:
-        choosing.begin(course, scene, memory)
-    see(course, scene, memory[choosing.WANTED], seen)
+    if memory[deciding.STARTED] == 0.0:
+        deciding.begin(course, scene, memory)
+    see(course, scene, memory[deciding.WANTED], seen)
 
 
 @kernel_inner
 def _track(course: Course, scene: Floats, wanted: float, lane: int, memory: Floats, action: Floats) -> None:
     """Fill in an ego's action for its wanted acceleration [m/s2] and its lane choice."""
-    acceleration, steering = choosing.track(course, scene, wanted, lane, memory)
+    acceleration, steering = deciding.track(course, scene, wanted, lane, memory)
     fill_action(acceleration, steering, action)
 
 
@@ -237,8 +248,8 @@ def evaluate(network: DenseNetwork, rooms: Floats, rows: Ints) -> int:
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
 
-    `rooms` has the shape (2, B, greatest width), and the inputs in `rooms[0]`. Each layer reads one room and writes the
-    other one.
+    `rooms`, shape (2, B, greatest width), holds the inputs in `rooms[0]`, and is changed in place. Each layer reads one
+    room and writes the other one.
     """
     weight_at, bias_at, now = 0, 0, 0  # where the layer begins in weights and biases, and which room has its inputs
     for layer in range(len(network.widths) - 1):

@@ -5,7 +5,7 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from behavexplor.ads.learned.choosing import N_ACTIONS, N_MEMORIES, as_decisions
+from behavexplor.ads.learned.deciding import N_ACTIONS, N_MEMORIES, as_decisions
 from behavexplor.ads.learned.driver import CourseKernels
 from behavexplor.ads.learned.observation import N_FEATURES
 from behavexplor.ads.learned.route_table import make_course

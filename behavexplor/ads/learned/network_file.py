@@ -23,7 +23,7 @@ class TrainedNetwork(NamedTuple):
     """A network and how its policy decides."""
 
     layers: Layers  # weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer
-    rule: Rule = "mean"  # how the policy decides when it does not draw, see `behavexplor.ads.learned.choosing.choose`
+    rule: Rule = "mean"  # how the policy decides when it does not draw, see `behavexplor.ads.learned.deciding.choose`
 
 
 def read_network(path: Path) -> TrainedNetwork:

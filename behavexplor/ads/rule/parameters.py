@@ -57,7 +57,7 @@ class Parameters:
     outlook: float = 8.0  # time over which lanes are compared [s]
     lane_cost: float = 6.0  # cost of each lane between the ego and its route when lanes are compared [m]
     lane_gain: float = 6.0  # least advantage of a lane farther from the route over the present one for a change [m]
-    lane_rest: float = 1.0  # least time from the end of a lane change to one that leads farther from the route [s]
+    lane_rest: float = 1.0  # least time after a lane change before one farther from the route may begin [s]
     pass_gap: float = 8.0  # least distance to an overtaken vehicle for the return [m]
     change_time: float = 3.5  # duration of a change to the next lane [s]
     change_length: float = 15.0  # least length of a change to the next lane [m]
@@ -79,7 +79,7 @@ class Parameters:
     slow_speed: float = 2.0  # speed below which the ego counts as stopping inside a junction [m/s]
     delay_cost: float = 1.0  # cost per meter that the ego is behind one that drives at the speed limit
     acceleration_cost: float = 0.3  # cost of acceleration up to `comfortable_acceleration`, per (m/s2)^2 s
-    braking_cost: float = 1.0  # cost of braking, and of greater acceleration, per (m/s2)^2 s
+    braking_cost: float = 1.0  # cost of braking, and of acceleration above that, per (m/s2)^2 s
     jerk_cost: float = 0.2  # cost per (m/s2)^2 of change between the stages of a plan
     overspeed_cost: float = 20.0  # cost per (m/s) s above the speed limit
     crossing_cost: float = 100.0  # cost per s within the gap kept from vehicles that cross or merge

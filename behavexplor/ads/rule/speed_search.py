@@ -130,7 +130,7 @@ def _search_below(
     now, following = nodes.stages[0], nodes.stages[1]
     now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0
     now[0, TOTAL], now[0, RISK], now[0, INSIDE] = 0.0, 0.0, 0.0
-    count, survived, tied = int64(1), int64(0), False  # int64: for Python's int, numba would compile twice
+    count, survived, tied = int64(1), int64(0), False  # int64, as after the first stage
     for stage in range(len(STAGES)):
         n = _choose(now, count, stage, bound, situation.p, nodes)
         _begin(now, n, nodes)

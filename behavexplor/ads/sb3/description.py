@@ -63,7 +63,7 @@ class Description:
     env: str | None = None  # name of the environment in which the policy was trained; None if unknown
     config: Mapping[str, Any] | None = None  # highway-env's configuration in training; None if unknown
     frame_stack: Annotated[int, Field(ge=1)] = 1  # number of observations stacked by `VecFrameStack`
-    # rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.choosing`; None for a policy
+    # rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.deciding`; None for a policy
     # with observations and actions of highway-env
     decision: Rule | None = None
     statistics: Path | None = None  # file of `VecNormalize`; None if observations were not normalized

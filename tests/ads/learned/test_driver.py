@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.interface import ADS, DecisionLog
-from behavexplor.ads.learned.choosing import N_ACTIONS
+from behavexplor.ads.learned.deciding import N_ACTIONS
 from behavexplor.ads.learned.driver import LearnedDriver
 from behavexplor.ads.learned.network_file import RULES, TrainedNetwork, read_network, write_network
 from behavexplor.ads.learned.observation import N_FEATURES

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.learned.choosing import (
+from behavexplor.ads.learned.deciding import (
     ACCELERATIONS,
     HOME,
     KEEP,

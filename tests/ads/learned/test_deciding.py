@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
-from behavexplor.ads.learned.choosing import (
+from behavexplor.ads.learned.deciding import (
     ACCELERATION_TABLE,
     ACCELERATIONS,
     DRAWN,
