@@ -130,7 +130,7 @@ def test_a_policy_of_another_environment_is_told_which(tmp_path):
     with gymnasium.make("behavexplor/lane-change-v0") as env:
         make_model("PPO", env.observation_space, env.action_space).save(tmp_path / "model")
     with pytest.raises(
-        InputError, match=r"It fits lane-change, lane-follow without a configuration: did --env mean that"
+        InputError, match=r"It fits lane-change, lane-follow without a configuration: should --env name one of these"
     ):
         Simulation("intersection-straight", str(tmp_path / "model.zip"))
 

@@ -332,7 +332,7 @@ def check_free(folder: Path) -> None:
     """Check that a run can begin in a folder, if it exists.
 
     Raises:
-        InputError: if it cannot be read or is not empty, or a file is in its place or in that of a folder above it.
+        InputError: if it is not empty or cannot be read, or if it or a folder above it is a file.
     """
     try:
         check_no_file(folder)

@@ -37,6 +37,7 @@ _REPLAYS = 100
 _CODES: Final = {NON_INFERIOR: OK, INFERIOR: CHECK_FAILED, "": UNDECIDED}
 
 _METHOD: Final = "nsga2"  # of the search, by default
+# Flags for fields of `CampaignConfig`. `given` has those that the user gave; `_configs` applies the defaults.
 _SETTINGS = settings(
     CampaignConfig,
     "env activation env_config seed method budget specs confirm traffic stochastic trust unconfined",
@@ -83,7 +84,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     """
     count = chosen_workers(workers)
     output = check_outputs(json_file, junit)
-    _check(scenarios, margin, junit, out, (first, second))
+    _check_arguments(scenarios, margin, junit, out, (first, second))
     config, searching = _configs(first, given, scenarios)
     if search:
         pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
@@ -113,16 +114,10 @@ def compare(  # noqa: PLR0913 - one argument for each flag
 
 def _configs(first: str, given: Mapping[str, Any], scenarios: int) -> tuple[CampaignConfig, CampaignConfig]:
     """Return the configuration of the campaigns of the driver `first`, and that of the search for differences."""
-    config = campaign_config(
-        {
-            **given,
-            "env": named_env(given.get("env"), first) or CampaignConfig.env,  # as given, or that of A's training
-            "ads": first,
-            # both campaigns draw `scenarios` uniformly: the given method and budget are for the search only
-            **pair_campaigns.SETTINGS,
-            "budget": str(scenarios),
-        }
-    )
+    env = named_env(given.get("env"), first) or CampaignConfig.env  # as given, or that of A's training
+    shared = {name: value for name, value in given.items() if name not in ("method", "budget")}
+    both = {"env": env, "ads": first, "budget": str(scenarios), **pair_campaigns.SETTINGS}  # which are drawn uniformly
+    config = campaign_config({**shared, **both})
     return config, replace(
         config,
         method=given.get("method", _METHOD),
@@ -131,10 +126,10 @@ def _configs(first: str, given: Mapping[str, Any], scenarios: int) -> tuple[Camp
     )
 
 
-def _check(
+def _check_arguments(
     scenarios: int, margin: float | None, junit: Path | None, out: Path | None, drivers: tuple[str, str]
 ) -> None:
-    """Check what does not depend on anything that is loaded."""
+    """Check the arguments that can be checked before a driver is loaded."""
     if junit is not None and margin is None:
         raise InputError("--junit writes whether a threshold was met: give one with --margin")
     pair_campaigns.check_numbers(scenarios, margin)

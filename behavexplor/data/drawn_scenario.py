@@ -127,7 +127,7 @@ class DrawnScenario:
         if len(every) > MAX_DRAWS:
             raise InputError(f"draws: at most {MAX_DRAWS} can be given")
         if _are_finite_floats(every):
-            return  # nearly always; the loop below finds what is wrong
+            return  # nearly always; the loop below also accepts whole numbers, and names what is wrong
         for name, values in self.draws:
             for i, value in enumerate(values):
                 if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):

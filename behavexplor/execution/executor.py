@@ -20,7 +20,8 @@ BATCHES: Final = 2  # batches of calls for each worker: one under way, and one a
 class Executor(ABC):
     """Calls functions of a service by name. Results do not depend on which executor calls them.
 
-    An executor is a context manager: on exit it finishes all calls and shuts down; after an error it does so at once.
+    An executor is a context manager: on exit it finishes all calls and shuts down. After an error, it cancels
+    waiting calls and shuts down at once.
     """
 
     runs_here: ClassVar[bool] = False  # whether calls run in this process, while their results are waited for
@@ -29,7 +30,7 @@ class Executor(ABC):
 
     @abstractmethod
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
-        """Call the function with this name with the argument `data`, and return the future result.
+        """Call the service's function that is named `function`, with the argument `data`, and return the future result.
 
         The exception of the future is an `ADSError` if the ADS failed, and an `InputError` if the service could not
         begin or rejected the data.

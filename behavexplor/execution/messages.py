@@ -26,7 +26,7 @@ class Request(NamedTuple):
     """A call of a function of a service."""
 
     key: int  # number that identifies the answer
-    function: str
+    function: str  # its name
     alone: bool  # True if the worker may process no other call at the same time
     data: bytes  # argument of the function
 
@@ -80,9 +80,10 @@ def answers_in(message: bytes) -> list[tuple[int, bytes]]:
 
 
 def error_answer(error: BaseException, place: str = "") -> bytes:
-    """Return the answer for a call that raised, with a place after its words, such as " (on the node n7)".
+    """Return the answer for a call that raised.
 
-    The place is left out of ADS failures and of rejected input.
+    `place` is a location that is appended to the message, such as " (on the node n7)". ADS failures and rejected input
+    do not get it.
     """
     if isinstance(error, ADSError):
         return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message, "place": error.place}).encode()
@@ -92,7 +93,7 @@ def error_answer(error: BaseException, place: str = "") -> bytes:
 
 
 def error_words(error: BaseException, place: str = "") -> str:
-    """Return an error in words, with a place as in `error_answer`."""
+    """Return the message of an error, with `place` appended as in `error_answer`."""
     if isinstance(error, ADSError | InputError):
         return str(error)
     words = str(error) if type(error) is RuntimeError else described(error)

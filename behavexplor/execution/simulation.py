@@ -114,14 +114,14 @@ class Simulation:
             trained = {key: value for key, value in trained.items() if key not in ignored}
             given = {key: value for key, value in given.items() if key not in ignored}
         if in_highway_env and hasattr(self.ads, "fitted"):
-            given = _answer(self.ads, "fitted", {**default_config(env), **given}, needed="keys")  # as a mapping has
+            given = _answer(self.ads, "fitted", {**default_config(env), **given}, needed="keys")  # a mapping
         self.env = make_env(env, {**declared, **trained, **given}, traffic, render_mode)
         if hasattr(self.ads, "seeing"):
             self.ads = _answer(self.ads, "seeing", self.env.observation_space, self.env.action_space, needed="predict")
         self.logical = logical_of(self.env, env)
         self.plain = ""
         self.stochastic = stochastic
-        self._single: LockStep | None = None
+        self._single: LockStep | None = None  # one episode at a time; made by the first run
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {brief(ads)} cannot draw its actions: leave out --stochastic")
         is_asked = in_highway_env and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
@@ -138,8 +138,8 @@ class Simulation:
             self._single = self.lock_step(1)
         if self._single is None:
             return rollout(self.env, self.driver(1), scenario)
-        self._single.give_up()  # ends the episode in which the driver has failed before, if it has
-        ((_, trace),) = run_episodes(self._single, [scenario])
+        self._single.give_up()  # drops an episode that is left over after a failure of the driver
+        [(_, trace)] = run_episodes(self._single, [scenario])
         return trace
 
     def run_compiled(self, scenario: Scenario) -> Trace:
@@ -278,7 +278,11 @@ def _where_it_fits(ads: Any) -> str:
         if _fits(ads, made):
             fitting.append(other)
         made.close()
-    return f"It fits {', '.join(fitting)} without a configuration: did --env mean that? Otherwise: " if fitting else ""
+    return (
+        f"It fits {', '.join(fitting)} without a configuration: should --env name one of these? Otherwise: "
+        if fitting
+        else ""
+    )
 
 
 def seen_in(env: str, ads: Any, config: Mapping[str, Any]) -> tuple[Any, bool]:
@@ -323,7 +327,7 @@ def compile_kernels(env: str) -> None:
     """
     with_scripted_vehicles = {environment_id(name) for name in behavexplor.FUNCTIONAL_SCENARIOS}
     if environment_id(env) not in with_scripted_vehicles:
-        _make_once(env)
+        _compile_by_making(env)
         return
     simulation = Simulation(env, "constant")
     scenario = simulation.logical.sample(np.random.default_rng(0))
@@ -339,8 +343,8 @@ def compile_kernels(env: str) -> None:
     simulation.close()
 
 
-def _make_once(env: str) -> None:
-    """Make an environment and its vector environment. Of one of highway-env's, this compiles the engine they share."""
+def _compile_by_making(env: str) -> None:
+    """Make an environment and its vector environment, which compiles the engine that all of highway-env's share."""
     made = make_env(env, {})
     try:
         envs = make_vector_env(made, 1, {})

@@ -33,7 +33,7 @@ from behavexplor.triage.findings import minimized_trace_path
 PAGE: Final = "report.html"
 MOST_REPLAYS: Final = 2000  # greatest number of replays of each run
 MOST_COMPARED: Final = 750  # greatest number of executions on the map of behaviors
-MOST_PLACES: Final = 50_000_000  # greatest number of places, one of each vehicle in each frame, in a run's traces
+MOST_POSITIONS: Final = 50_000_000  # greatest number of positions, one of each vehicle in each frame, in a run's traces
 MOST_STATES: Final = 2_000_000  # greatest length of all behaviors on the map together, in abstract states
 MOST_SHOWN: Final = 200_000  # greatest number of places in one replay
 
@@ -182,18 +182,18 @@ def _looked_at(
 ) -> tuple[dict[int, Trace], dict[int, Record]]:
     """Return the traces of the wanted executions, and the records of the replayed ones, by their numbers.
 
-    The wanted are taken in their order until `MOST_PLACES` or `MOST_STATES` is exceeded, but always the first of them.
+    The wanted are taken in order until `MOST_POSITIONS` or `MOST_STATES` is exceeded, but always the first of them.
     """
     traces: dict[int, Trace] = {}
     records: dict[int, Record] = {}
-    places_left, states_left = MOST_PLACES, float(MOST_STATES)
+    positions_left, states_left = MOST_POSITIONS, float(MOST_STATES)
     with closing(Store.read(run.folder)) as store:
         for number in wanted:
             execution = store.execution(number)
             trace = execution.load_trace()
-            places_left -= trace.heading.size
+            positions_left -= trace.heading.size
             states_left -= trace.duration / TIME_STEP
-            if traces and min(places_left, states_left) < 0:
+            if traces and min(positions_left, states_left) < 0:
                 break
             traces[number] = trace
             if number in replayed and _fits(trace):
@@ -345,9 +345,11 @@ def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ())
     words = [{finding.id: finding.words for finding in run.findings} for run in runs[:2]]
     compared = side_by_side(pairs, words, replays) if pairs else None
     labels = _labels(runs, are_paired=bool(pairs))
-    wanted_first = [() if compared is None else compared.shown] * 2 + [()] * len(runs)  # the first two are compared
-    of_runs = zip(runs, labels, wanted_first, strict=False)
-    sections = [section(i, run, label, replays, wanted) for i, (run, label, wanted) in enumerate(of_runs, 1)]
+    shown = compared.shown if compared else ()
+    sections = [
+        section(number, run, label, replays, shown if number <= 2 else ())  # the first two runs are compared
+        for number, (run, label) in enumerate(zip(runs, labels, strict=True), 1)
+    ]
     several = len(runs) > 1
     return rendered(
         "page.html.jinja",

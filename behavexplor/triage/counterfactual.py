@@ -114,11 +114,6 @@ def _causes(
     return necessary, () if without_kin else alone
 
 
-def without(parameters: Parameters, names: Sequence[str]) -> Parameters:
-    """Return parameters with the named ones, which are severities of weaknesses, set to 0."""
-    return replace(parameters, **dict.fromkeys(names, 0.0))
-
-
 def _violates(trace: Trace, spec: str, until: float | None = None) -> bool:
     """Return whether an execution violates a spec, by the time `until` [s] if given."""
     violated = tuple(name for name in judge(trace).violated if REQUIREMENTS.get(name) == spec)
@@ -128,6 +123,11 @@ def _violates(trace: Trace, spec: str, until: float | None = None) -> bool:
 
 def _switches(weaknesses: Iterable[str]) -> list[str]:
     return [WEAKNESSES[name].parameter for name in weaknesses]
+
+
+def without(parameters: Parameters, names: Sequence[str]) -> Parameters:
+    """Return parameters with the named ones, which are severities of weaknesses, set to 0."""
+    return replace(parameters, **dict.fromkeys(names, 0.0))
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class ForkedPlanner:
         return actions, (step + 1, np.stack(after))
 
 
-@lru_cache(maxsize=128)  # the same few planners continue all failures of a run, and none of them remembers anything
+@lru_cache(maxsize=128)  # the same few planners continue all failures of a run; their memory is an argument
 def _rule_planner(roadmap: RoadMap, parameters: Parameters) -> RulePlanner:
     return RulePlanner(roadmap, parameters)
 

@@ -364,7 +364,7 @@ def test_what_is_too_large_for_a_page_is_left_out(run, monkeypatch):
     without_replays = page([found], 10)
     assert LEFT_OUT in without_replays
     assert "The replay is not in this page" in without_replays
-    monkeypatch.setattr(run_page, "MOST_PLACES", 1)
+    monkeypatch.setattr(run_page, "MOST_POSITIONS", 1)
     least = run_page.section(1, found, "run", 10)
     assert (len(least.places), least.embedded, least.left_out) == (1, 0, True)
     assert (len(whole.places), whole.left_out) == (len(found.entries), False)

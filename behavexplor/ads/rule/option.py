@@ -26,7 +26,7 @@ class Surroundings(NamedTuple):
     ways: LaneGraph  # lanes of the map, and the sequences of lanes along which vehicles can go on
     scene: Floats  # scene, shape (1 + n, 8), see `behavexplor.data.scene`
     others: Floats  # working space for the table of other vehicles, see `behavexplor.ads.rule.traffic`
-    graph: station_time.StationTime  # working space for the station-time graph
+    st_graph: station_time.StationTime  # working space for the station-time graph
     nodes: Nodes  # working space for the search of the speed
     p: Numbers  # parameters of the planner
 
@@ -44,7 +44,7 @@ class Option(NamedTuple):
 @kernel_inner
 def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lane: int, memory: Memory) -> Option:
     """Plan the speed along a profile, with a wait before a junction that cannot be crossed."""
-    path, graph, p = world.path, world.graph, world.p
+    path, graph, p = world.path, world.st_graph, world.p
     blind = -math.inf
     if cuts_in(ego, p) and profile.length > 0.0:
         blind = p.cut_in * 2 * ego.half_length

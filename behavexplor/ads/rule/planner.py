@@ -70,8 +70,14 @@ class RulePlanner:
     ) -> tuple[Floats, Floats]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
-        Scenes have the shape (B, 1 + n, 8), see `behavexplor.data.scene`, and the state (B, N_MEMORIES). Actions,
-        acceleration and steering, are in [-1, 1], shape (B, 2). The planner is always deterministic.
+        Args:
+            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
+            state: state returned by the last call, shape (B, N_MEMORIES); None in the first call.
+            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
+            deterministic: without effect. The planner is always deterministic.
+
+        Returns:
+            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
 
         Raises:
             InputError: if an array has the wrong shape.
@@ -96,11 +102,11 @@ class RulePlanner:
 
 @kernel
 def _plan_batch(
-    path: Path, own_ways: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers, actions: Floats
+    path: Path, shared_ways: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers, actions: Floats
 ) -> None:
     """Make a decision for each ego that is present, and fill in the actions of all."""
-    # a copy of the lanes, because the spare one is overwritten
-    ways = LaneGraph(own_ways.lanes.copy(), own_ways.tails, own_ways.around, own_ways.beside)
+    lanes = shared_ways.lanes.copy()  # the spare one is overwritten
+    ways = LaneGraph(lanes, shared_ways.tails, shared_ways.around, shared_ways.beside)
     n_npcs = scenes.shape[1] - 1
     station_time, nodes = empty_station_time(n_npcs), empty_nodes()
     others = np.empty((n_npcs, N_OTHER_COLUMNS))
@@ -113,7 +119,7 @@ def _plan_batch(
 @kernel_inner
 def plan_once(world: Surroundings, memory: Memory) -> None:
     """Make one decision: plan the speed, begin or abort a lane change if needed, and leave commands in the memory."""
-    path, scene, bits = world.path, world.scene, world.graph.bits
+    path, scene, bits = world.path, world.scene, world.st_graph.bits
     bits[:] = 0
     station, offset = project_on_path(path, scene[EGO, X], scene[EGO, Y])
     ego = EgoState(station, offset, max(scene[EGO, SPEED], 0.0), scene[EGO, LENGTH] / 2, scene[EGO, WIDTH] / 2)
@@ -166,7 +172,7 @@ def _is_safe(option: Option) -> bool:
 @kernel_inner
 def _change_if_wanted(world: Surroundings, ego: EgoState, present: Option, memory: Memory) -> Option:
     """Begin a lane change if another lane is better and its gaps are accepted."""
-    path, others, p, bits = world.path, world.others, world.p, world.graph.bits
+    path, others, p, bits = world.path, world.others, world.p, world.st_graph.bits
     lane = int(memory.lane)
     option, begun = present, False
     wrong = lane_choice.wrong_side(path, others, ego, memory, bits, p)
@@ -185,7 +191,7 @@ def _try_change(
     world: Surroundings, ego: EgoState, present: Option, wanted: int, memory: Memory
 ) -> tuple[Option, bool]:
     """Return the change to a lane if it is safe, else the present option; and whether the change is begun."""
-    path, p, bits = world.path, world.p, world.graph.bits
+    path, p, bits = world.path, world.p, world.st_graph.bits
     lane = int(memory.lane)
     if not lane_choice.accepts_gap(path, world.others, ego, wanted, bits, p):
         return present, False
@@ -216,7 +222,7 @@ def _abort_if_needed(world: Surroundings, ego: EgoState, present: Option, memory
 
     It is possible while the ego's center is still in the original lane.
     """
-    path, p, bits = world.path, world.p, world.graph.bits
+    path, p, bits = world.path, world.p, world.st_graph.bits
     lane, origin = int(memory.lane), int(memory.origin)
     inside = abs(ego.offset - origin * path.lane_width) < path.lane_width / 2
     share = lane_choice.gap_share(path, world.others, ego, lane, p)
@@ -256,12 +262,12 @@ def _adopt(profile: LateralProfile, lane: int, memory: Memory) -> None:
 @kernel_inner
 def _settle(world: Surroundings, ego: EgoState, option: Option, memory: Memory) -> None:
     """Store the decision and its commands in the memory."""
-    path, p, bits, plan = world.path, world.p, world.graph.bits, option.plan
+    path, p, bits, plan = world.path, world.p, world.st_graph.bits, option.plan
     memory.clear = memory.clear + PERIOD if option.crosses else 0.0
     memory.decision = decision_code(path, plan, ego.station, ego.half_length, option.yields)
     memory.survived = plan.survived * INTERVAL
     acceleration = plan.acceleration
-    if creep(world.graph, ego.station, option.limit, memory, bits, p) and memory.decision != EMERGENCY:
+    if creep(world.st_graph, ego.station, option.limit, memory, bits, p) and memory.decision != EMERGENCY:
         memory.creeps -= PERIOD
         memory.decision = CREEP
         acceleration = CREEP_ACCELERATION
