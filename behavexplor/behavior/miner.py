@@ -31,7 +31,7 @@ from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place
 
-MAX_CLUSTERS: Final = 256
+MAX_CLUSTERS: Final = 256  # labels are single bytes
 Scaling = Literal["zscore", "none"]
 
 
@@ -57,10 +57,10 @@ class AbstractTraces:
         self._labels[self._starts[index] : self._starts[index + 1]] = labels
 
     def distances(self, labels: Labels) -> Floats:
-        """Compute the distance of an abstract trace, shape (length,), from each of these; shape (len(self),).
+        """Compute the distance of an abstract trace, shape (length,), from each of n added ones, shape (n,).
 
-        It is `dis` of the paper's equation 9, in [0, 1]: the Hamming distance over the common part plus the difference
-        of the lengths, divided by the longer length; 0 for two empty traces.
+        (Hamming distance over the common part + difference of the lengths) / longer length, in [0, 1]: `dis` of the
+        paper's equation 9. It is 0 for two empty traces.
         """
         distances = np.empty(self._count)
         find_distances(self._labels, self._starts[: self._count + 1], labels, distances)
@@ -80,8 +80,8 @@ def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:
 def find_distances(labels: Bytes, starts: Ints, query: Bytes, distances: Floats) -> None:
     """Find the distance of a query from each abstract trace, see `AbstractTraces.distances`.
 
-    `labels` are those of all n abstract traces, one after the other, and `starts`, shape (n + 1,), where each begins
-    and the last one ends. `query` has the shape (length,). `distances`, shape (n,), is changed in place.
+    `labels` are those of all n abstract traces, one after the other. `starts`, shape (n + 1,), has the place where each
+    begins, and the end of the last. `query` has the shape (length,). `distances`, shape (n,), is changed in place.
     """
     for i in range(len(distances)):
         known = labels[starts[i] : starts[i + 1]]  # its indices need no sign, so that the loop can be vectorized

@@ -4,10 +4,9 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final
+from typing import Annotated, Any, Final
 
 import yaml
-from pydantic import ConfigDict
 
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_config
 from behavexplor.data.target import Conditions
@@ -23,8 +22,6 @@ _FROM_CONFIG: Final = ("method", "options")  # keys that an experiment accepts i
 @dataclass(frozen=True)
 class MethodChoice:
     """A search method of an experiment."""
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     method: str = "behavexplor"  # as in a campaign's `method`
     options: dict[str, Any] = field(default_factory=dict)  # options of the method
@@ -47,8 +44,6 @@ class Experiment(Conditions):
     Raises:
         InputError: if a named method is not in the experiment.
     """
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     name: str  # name of the experiment and of its folder
     methods: dict[str, MethodChoice]  # search methods by their names in the tables

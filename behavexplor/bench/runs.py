@@ -186,7 +186,6 @@ class ExperimentProgress:
     finished: int = 0  # number of finished runs
     failed: Mapping[PlannedRun, str] = field(default_factory=dict)  # failed runs, each with its reason
     executions: int = 0  # number of stored executions of all runs
-    total: int = 0  # expected number of executions of all runs at the end
     left: float | None = None  # estimated remaining time [s]; None if unknown
     warnings: tuple[str, ...] = ()  # warnings about the driving systems, one sentence each
 
@@ -319,6 +318,4 @@ class ExperimentRunner:
             self._look(run)
         done, left = sum(self._executions.values()), sum(self._open.values())
         rate = (done - self._at_start) / (time.monotonic() - self._start)
-        self.progress = replace(
-            self.progress, executions=done, total=done + left, left=left / rate if rate > 0 else None
-        )
+        self.progress = replace(self.progress, executions=done, left=left / rate if rate > 0 else None)

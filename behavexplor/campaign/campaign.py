@@ -39,10 +39,10 @@ from behavexplor.judge.discovery import INDEPENDENT
 from behavexplor.judge.specs import SPECS, Spec
 
 COMMIT_ROWS = 50  # greatest number of executions in one commit
+COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
 _UNIFORM: Final = 0x75_6E_69_66  # separates the scenarios that no search has chosen from those of the campaign
 _MOST_EARLY: Final = 1024  # candidates in flight, so that one of a long episode does not fill the memory with others
 TOGETHER: Final = 16  # candidates that are asked for early at a time, and answers that are sent together
-COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
 
 
 class ExecutionError(Exception):
@@ -50,8 +50,8 @@ class ExecutionError(Exception):
 
 
 @contextmanager
-def _kept() -> Iterator[None]:
-    """Say that the disk is full, or that the run folder is gone, where that ends a campaign."""
+def _disk_errors_translated() -> Iterator[None]:
+    """Raise an `ExecutionError` in place of errors of the disk, such as that it is full or the run folder is gone."""
     try:
         yield
     except (sqlite3.Error, OSError) as error:
@@ -66,7 +66,7 @@ class _Pending:
     result: Future[bytes] | Execution  # the future trace as bytes, or the stored execution
     scenario: str = ""  # the scenario as JSON; empty if a judge draws it
     judging: Future[Judgment] | None = None  # in another process
-    judgment: Judgment | None = None  # made early, while the oldest candidate was executed
+    judgment: Judgment | None = None  # made early, while the oldest candidate was executed; None if it was not
 
     @property
     def is_executed(self) -> bool:
@@ -76,7 +76,8 @@ class _Pending:
 class Campaign:
     """One campaign in its run folder. What the store already holds is not repeated.
 
-    After `stop_after` failures it stops. `judges` judge in place of this process, by the built-in specs.
+    `method` is made by `search_method`. After `stop_after` failures the campaign stops; None for no such number.
+    `judges` judge in place of this process, by the built-in specs.
     """
 
     def __init__(
@@ -95,7 +96,8 @@ class Campaign:
         self.logical = logical
         self._budget = Budget.parse(config.budget)
         self._store = store
-        self._executor, self._judges = executor, judges
+        self._executor = executor
+        self._judges = judges
         self._specs = specs
         self._stop_after = stop_after
         self.clock = StageClock(store.stages)
@@ -138,7 +140,7 @@ class Campaign:
         finally:
             self._commit(observe, 1, 0.0)
         if ended is not None and not self._pending:
-            with _kept():
+            with _disk_errors_translated():
                 self._store.note_end(ended)
         return ended
 
@@ -164,7 +166,7 @@ class Campaign:
                 failed += self._judgment(pending).result.failed
         except (ExecutionError, InputError) as error:  # its number is that of one of these, and no stored one
             raise type(error)(f"In uniformly drawn scenarios beside the search: {error}") from error
-        with _kept():
+        with _disk_errors_translated():
             UniformRate(count, failed).note(self._store)
 
     @property
@@ -229,7 +231,8 @@ class Campaign:
             in_flight = len(self._pending)
             early = min(getattr(self._method, "foreseen", 0), _MOST_EARLY - in_flight)
             room = self._executor.room if early > 0 else 0
-            count = max(self._config.batch - in_flight, min(early, room) if room >= min(TOGETHER, in_flight) else 0)
+            extra = min(early, room) if room >= min(TOGETHER, in_flight) else 0
+            count = max(self._config.batch - in_flight, extra)
             if count <= 0:
                 return
             yield from range(count)
@@ -276,7 +279,8 @@ class Campaign:
         record = self._record(oldest, judged)
         self._failures += record.failed
         if not isinstance(oldest.result, Execution):
-            self._store.add(Execution(record, judged.data, self.elapsed, record.members_around(judged.members)))
+            members = record.members_around(judged.members)
+            self._store.add(Execution(record, judged.data, self.elapsed, encoded=members))
         elif not oldest.result.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
             raise InputError(
                 f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration or "
@@ -297,9 +301,10 @@ class Campaign:
                     other.judgment = self._judgment(other)
 
     def _judgment(self, pending: _Pending) -> Judgment:
+        """Return the judgment of a candidate: of its stored execution, of its judge, or made here."""
         candidate, result = pending.candidate, pending.result
         if isinstance(result, Execution):
-            return self._judged(candidate, result.trace, result.record.error)
+            return self._judge(candidate, result.trace, result.record.error)
         try:
             with self.clock.during(self._executing):
                 data = result.result()
@@ -311,16 +316,16 @@ class Campaign:
             message = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
         try:
-            return self._judged(candidate, data, None)
+            return self._judge(candidate, data, None)
         except ADSError as error:
             return self._failed(candidate, error)
 
     def _failed(self, candidate: Candidate, error: ADSError) -> Judgment:
         """Return the judgment of an execution in which the ADS failed instead of driving."""
         frame = self.logical.first_frame(candidate.scenario, ERROR).to_bytes()
-        return self._judged(candidate, frame, ads_failure(error))
+        return self._judge(candidate, frame, ads_failure(error))
 
-    def _judged(self, candidate: Candidate, data: bytes, failure: dict[str, str] | None) -> Judgment:
+    def _judge(self, candidate: Candidate, data: bytes, failure: dict[str, str] | None) -> Judgment:
         with self._during(Stage.JUDGING, candidate.number):
             try:
                 return judgment(data, failure, self._specs)
@@ -337,10 +342,11 @@ class Campaign:
             id=candidate.number,
             origin=candidate.origin,
             parent=candidate.parent,
-            **vars(judged.result),
+            **vars(judged.result),  # the fields of `Result`: end, error, degrees and so on
             novelty=novelty,
             novel=novelty > NOVELTY_THRESHOLD,
             search=dict(learned),
+            # as encoded here for the worker, or by the judge that drew it, or by nobody so far
             scenario=WrittenValues(pending.scenario or judged.scenario or encode_json(candidate.scenario.to_dict())),
         )
 
@@ -349,7 +355,7 @@ class Campaign:
         waited = time.monotonic() - self._committed
         if self._store.pending < rows and waited < seconds:
             return
-        with self.clock.during(Stage.STORING), _kept():
+        with self.clock.during(Stage.STORING), _disk_errors_translated():
             committed = self._store.commit(self.clock.total)
         for execution in committed:
             self.progress = self.progress.after(execution.record, resumed=False)

@@ -105,7 +105,7 @@ def summarize(run: Path) -> RunSummary:
         for record in store.records():
             found = found.after(record, resumed=True)
         begun = begun_with(store) or Identity()
-        has_ended = store.ended is not None
+        ended = store.ended is not None
         beside = UniformRate.stored(store)
     tried = read_confirmations(run)
     unconfirmed = tuple(not_confirmed(tried))
@@ -117,9 +117,7 @@ def summarize(run: Path) -> RunSummary:
         budget=config.budget,
         executions=found.executions,
         elapsed=found.elapsed,
-        complete=has_ended
-        or found.executions >= (budget.executions or inf)
-        or found.elapsed >= (budget.seconds or inf),
+        complete=ended or found.executions >= (budget.executions or inf) or found.elapsed >= (budget.seconds or inf),
         failed=found.failed,
         at_fault=found.at_fault,
         violations=found.violations,

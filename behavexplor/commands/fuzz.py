@@ -137,8 +137,9 @@ class Checks:
         what = f"{failed} of {found.executions} executions ({share:.1%}) failed, in {class_count(len(new))}{kind}"
         has_failed = self.fail_on_violation and failed > 0
         if self.fail_above is not None:
-            has_failed |= share > self.fail_above
-            what += f"; {'more' if share > self.fail_above else 'not more'} than {self.fail_above:.1%}"
+            is_above = share > self.fail_above
+            has_failed = has_failed or is_above
+            what += f"; {'more' if is_above else 'not more'} than {self.fail_above:.1%}"
         return not has_failed, f"The check {'failed' if has_failed else 'passed'}: {what}"
 
 
@@ -154,7 +155,7 @@ def read_known_classes(path: Path | None) -> frozenset[str]:
         text = read_file(path, pipes=True).decode()
         if text.lstrip().startswith(("{", "[")):
             return frozenset(str(one["id"]) for one in json.loads(text)["classes"])
-    except InputError:
+    except InputError:  # a ValueError, which the last clause would catch
         raise
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
@@ -213,8 +214,9 @@ def fuzz(
     """
     given, resumed = {**driver, **search}, flags.resume
     workers = _checked_workers(flags.workers, flags.cluster)
-    text, _ = output.text, checks.known  # both check their files, before the work begins
-    _check_together(flags, given)
+    text = output.text  # checks the files to be written, before the work begins
+    _ = checks.known  # checks its file as well
+    _check_flags(flags, given)
     chosen = _resumed_config(resumed, given) if resumed else _new_config(given, flags.config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=output.quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
@@ -242,7 +244,7 @@ def fuzz(
         return code
 
 
-def _check_together(flags: RunFlags, given: Mapping[str, Any]) -> None:
+def _check_flags(flags: RunFlags, given: Mapping[str, Any]) -> None:
     """Check the range of --stop-after, and that no flag beside --resume gives another configuration or folder."""
     if flags.stop_after is not None and flags.stop_after < 1:
         raise InputError(f"--stop-after {flags.stop_after} must be at least 1")
@@ -254,7 +256,8 @@ def _check_together(flags: RunFlags, given: Mapping[str, Any]) -> None:
 
 def _checked(code: int, progress: Progress, folder: Path, checks: Checks, output: Output) -> int:
     """Write the findings of a campaign to files, check them, and return the exit code."""
-    if not (output.json_file or output.junit or progress.violations.get(ERROR)) and checks == Checks():
+    writes_files = output.json_file or output.junit
+    if not writes_files and checks == Checks() and not progress.violations.get(ERROR):
         return code  # without reading the whole run once more
     found = summarize(folder)
     new = [one.id for one in checks.new_classes(found)]
@@ -265,11 +268,15 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, output
     if code == OK and found.violations.get(ERROR, 0) == found.executions:
         say(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
         return EXECUTION_FAILED
-    passed, words = checks.outcome(found) if code == OK else (True, "")
+    if code != OK:
+        return code
+    passed, words = checks.outcome(found)
+    if not passed:
+        say(f"{program()}: {sentence(words)}", file=sys.stderr)
+        return CHECK_FAILED
     if words:
-        verdict = wrapped(sentence(words)) if passed else f"{program()}: {sentence(words)}"
-        say(verdict, file=output.text if passed else sys.stderr)
-    return code if passed else CHECK_FAILED
+        say(wrapped(sentence(words)), file=output.text)
+    return OK
 
 
 def _run(campaign: Campaign, store: Store, display: Display, method: str, text: TextIO) -> int:

@@ -106,7 +106,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
         return changed
 
 
-def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
+def require_scripted(logical: object, what: str) -> ScriptedLogicalScenario:
     """Return `logical` itself if its vehicles are scripted. The error message begins with `what`, which needs them.
 
     Raises:

@@ -39,6 +39,7 @@ _MOTION = ("position", "heading", "velocity")
 _PACKED = (*_MOTION, "present")  # arrays whose elements are single bytes in a file
 _NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})
 _ALL_PRESENT = np.ones((0, 0), dtype=bool)
+_ALL_PRESENT.setflags(write=False)  # all traces share it
 _NOTHING_MORE = {"decisions": _NO_ARRAYS, "signals": _NO_ARRAYS, "present": _ALL_PRESENT, "partner": -1}
 _OTHERS = ("end", "decisions", "signals", "present", "partner")  # fields that are no arrays, or need not be given
 # The weaknesses that the paper found in Apollo 6.0 (section 4.1.2); each is a bit in the log of the rule planner.
@@ -74,7 +75,7 @@ class Trace:
         decisions: the ADS's own log, as arrays by name, each of shape (D, ...).
         signals: what a highway-env environment itself says in each frame, as arrays by name, each of shape (T,). A
             signal is missing if it means nothing in the environment. Without signals, the specs judge by the vehicles'
-            boxes. "crashed", "off_road" and "arrived" are 1 or 0 for the ego; so is "wrecks" for all vehicles, in the
+            boxes. "crashed", "off_road" and "arrived" are 1 or 0 for the ego; so is "wrecks" for all vehicles, but of
             shape (T, N). "changing_lanes" is -1 while the ego changes lanes to the left, 1 to the right, else 0. "way"
             is what the ego does, a place in `WAYS`. "partner" says where the vehicle `partner` is: `ELSEWHERE`,
             `ON_ITS_WAY` (on the ego's road or one that follows or precedes it), or whether it is an `OBSTACLE`.
@@ -85,7 +86,7 @@ class Trace:
             is none, or if the vehicles' boxes tell.
 
     Raises:
-        InputError: if the shape or a value of a field is wrong, which the message names, or the trace is too large.
+        InputError: if the trace is too large, or the shape or a value of a field is wrong; the message names the field.
     """
 
     time: Floats
@@ -303,7 +304,6 @@ class Trace:
             return self.__dict__[name]
 
 
-_ALL_PRESENT.setflags(write=False)
 _FIELDS = frozenset(f.name for f in fields(Trace))
 _ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in _OTHERS)
 

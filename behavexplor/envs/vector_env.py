@@ -95,12 +95,13 @@ class DrivingVectorEnv(LockStepVectorEnv):
         if self.checks_actions:
             check_actions(self.action_space, actions)
         stepped = self._episodes.ends == RUNNING
-        (terminated, truncated), self._n_ended = self._episodes.decide(actions, stepped)
+        ends, self._n_ended = self._episodes.decide(actions, stepped)
         self._episodes.observe(stepped)
         self._terms, rewards = None, np.zeros(self.num_envs)
         if self.gives_rewards:
             self._terms = self._episodes.terms(stepped)
             rewards = sum(self._terms, rewards)
+        terminated, truncated = ends
         return rewards, terminated, truncated, stepped, self._n_ended
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> None:
@@ -135,6 +136,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
 
     def _end_infos(self, done: Bools) -> dict[str, Any]:
         """Return the further infos of episodes that have just ended; nothing if there are none."""
+        # none are left in the second call of a step that resets at once
         if not done.any():
             return {}
         ends, traces = np.full((2, self.num_envs), None, dtype=object)
@@ -144,6 +146,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
         return {"end": ends, "_end": done, "trace": traces, "_trace": done}
 
     def _given(self, options: Mapping[str, Any], mask: Bools) -> tuple[Sequence[ScriptedScenario | None]]:
+        """Return the given scenarios, as the only further argument of `_begin`."""
         del mask
         given = options.get("scenarios")
         scenarios = [options.get("scenario")] * self.num_envs if given is None else given
@@ -172,10 +175,10 @@ def vector_env(env_class: type[DrivingEnv]) -> type[DrivingVectorEnv]:
 
 
 def _check_supported(env: DrivingEnv) -> None:
-    """Check that the vector environment can replace an environment."""
-    odd = odd_method(env, DrivingEnv) or odd_observation(env.observation_type) or odd_action(env.action_type)
-    if odd:
+    """Refuse an environment from which the vector environment would silently differ."""
+    obstacle = odd_method(env, DrivingEnv) or odd_observation(env.observation_type) or odd_action(env.action_type)
+    if obstacle:
         raise InputError(
-            f"The vector environment does not support {odd}; use gymnasium.make, or gymnasium.make_vec with "
+            f"The vector environment does not support {obstacle}; use gymnasium.make, or gymnasium.make_vec with "
             f"vectorization_mode='sync'"
         )

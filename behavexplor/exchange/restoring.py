@@ -13,7 +13,7 @@ from behavexplor.data.npc_motion import HEADING, motion_on_route
 from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.data.scripted_logical import ScriptedLogicalScenario, scripted
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario, require_scripted
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.exchange.axes import REAR_AXLE
 from behavexplor.exchange.scenes import RECORDED, ROUTE, SCENARIO, VEHICLE, WAYPOINTS, Mover, SceneFile
@@ -37,7 +37,7 @@ def restored(scene: SceneFile, logical: LogicalScenario) -> Scenario:
     """
     if logical.has_original:  # it is that of a highway-env environment
         return _drawn(scene, logical)
-    ranges = scripted(logical, "A scene")
+    ranges = require_scripted(logical, "A scene")
     _check_ego(scene.movers[0], ranges)
     scenario = ScriptedScenario(ranges.name, tuple(_npc(mover, ranges) for mover in scene.movers[1:]))
     try:

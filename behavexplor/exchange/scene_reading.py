@@ -88,9 +88,6 @@ _KINDS: Final = MappingProxyType(  # of other files, by their roots
         _ROOT: "an OpenSCENARIO file of another program, or for CARLA",
         "OpenDRIVE": "an OpenDRIVE road",
         "commonRoad": "a CommonRoad scenario",
-        "net": "a network of SUMO",
-        "routes": "a file of routes of SUMO",
-        "osm": "a map of OpenStreetMap",
     }
 )
 _FROM_THEN_ON: Final = ("greaterThan", "greaterOrEqual", "equalTo")

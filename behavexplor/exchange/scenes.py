@@ -21,7 +21,7 @@ from behavexplor.data.npc_motion import HEADING, SPEED, X, Y, motion_table
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.scripted import NPC, Waypoint
-from behavexplor.data.scripted_logical import scripted
+from behavexplor.data.scripted_logical import require_scripted
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, brief
 from behavexplor.exchange.axes import DIGITS, mirrored, mirrored_points
@@ -137,9 +137,9 @@ def movers_of(scenario: Scenario, trace: Trace, logical: LogicalScenario, *, is_
                 is_gone=bool(there[-1] < len(trace.time) - 1),
             )
         )
-    if not scenario.npcs:
+    if not scenario.npcs:  # not scripted, or without NPCs
         return tuple(movers)
-    roadmap = scripted(logical, "A scene of scripted vehicles").roadmap
+    roadmap = require_scripted(logical, "A scene of scripted vehicles").roadmap
     scripted_movers = [
         replace(mover, script=npc, route=_route_points(npc, roadmap))
         for mover, npc in zip(movers[1:], scenario.npcs, strict=True)

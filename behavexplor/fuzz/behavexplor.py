@@ -29,7 +29,7 @@ _BENIGN_SHARE = 0.1  # a passed mutant costs less energy than a failed one adds
 def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
     """Compute dE_F of a parent (paper equation 15): how its energy changes when its last mutant `failed` or passed.
 
-    `n_failed` and `n_passed` are the numbers of its mutants that failed or not, #F and #NF, with the last one.
+    `n_failed` (#F) of its mutants failed and `n_passed` (#NF) did not, including the last one.
     """
     if failed:
         return n_failed / (n_passed + n_failed)
@@ -39,9 +39,9 @@ def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
 def degree_change(parent_degree: float, degree: float, distance: float, *, bounded: bool, gamma: float) -> float:
     """Compute dE_V of a mutant and its parent (paper equation 16).
 
-    `parent_degree` and `degree` are O_s and O_s' [m]; `distance` is dis(s', s), in [0, 1]; `gamma` prevents division by
-    zero. Unless `bounded` by tanh, a single mutant at distance 1 changes it by 1e5 per meter with the default gamma,
-    and the selection never recovers from it.
+    `parent_degree` and `degree` are their violation degrees O_s and O_s' [m]; `distance` is dis(s', s), the distance of
+    their behaviors, in [0, 1]; `gamma` prevents division by zero. Unless `bounded` by tanh, a single mutant at distance
+    1 changes the energy by 1e5 per meter with the default gamma, and the selection never recovers from it.
     """
     change = (parent_degree - degree) / (1 - distance + gamma)
     return math.tanh(change) if bounded else change
@@ -222,12 +222,12 @@ class BehAVExplorOptions:
     # Y, the testcases whose behaviors are known: all that were "kept", or only initial and "novel" ones
     known: Literal["kept", "novel"] = "kept"
     selection: Literal["energy", "uniform"] = "energy"  # how a testcase is drawn; "uniform" is the paper's w/o Energy
-    mutation: Literal["energy", "random"] = "energy"  # how its mutation is chosen; "random" is the paper's w/o Energy
-    waypoint_share: Annotated[float, between(0, 1)] = 0.5  # probability of waypoint mutation, if chosen at random
+    mutation: Literal["energy", "random"] = "energy"  # how a mutation is chosen; "random" is the paper's w/o Energy
+    waypoint_share: Annotated[float, between(0, 1)] = 0.5  # probability of waypoint mutation, if mutations are random
     waypoint_energy: float = 0.5  # theta_e: testcases with more energy get a waypoint mutation, others a route mutation
     # epsilon of waypoint mutation, the probability that an NPC stays unchanged
     waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
-    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # epsilon of route mutation
+    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5  # that of route mutation
     # probability that a waypoint of a changed NPC stays unchanged
     point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0  # standard deviation of waypoint mutation [m]
@@ -356,11 +356,11 @@ class BehAVExplor:
         novel = novelty > options.novelty_threshold
         kept = not assessment.failed and (novel or assessment.degree < parent.degree)
         compared_distance = distance if options.degree_distance == "parent" else novelty
-        by_degree = degree_change(
+        degree_term = degree_change(
             parent.degree, assessment.degree, compared_distance, bounded=options.bounded, gamma=options.gamma
         )
         failed = assessment.failed or (novel and options.success == "failed-or-novel")
-        parent_energy = self._changed_energy(parent, candidate.origin, by_degree, failed)
+        parent_energy = self._changed_energy(parent, candidate.origin, degree_term, failed)
         self._corpus.set_energy(parent.number, parent_energy)
         learned = {
             "novelty": novelty,
@@ -370,7 +370,7 @@ class BehAVExplor:
             "parent_energy": parent_energy,
         }
         if kept:
-            energy = self._energy(parent.degree - assessment.degree, by_degree, novelty)
+            energy = self._energy(parent.degree - assessment.degree, degree_term, novelty)
             learned["energy"] = energy
             self._keep(candidate, behavior, assessment, energy, known=novel or options.known == "kept")
         if kept and novel:
@@ -389,13 +389,13 @@ class BehAVExplor:
         distances = self._miner.distances(self._miner.abstract(behavior))
         return float(distances[self._known].min()), float(distances[parent.behavior])
 
-    def _energy(self, gain: float, by_degree: float, novelty: float) -> float:
+    def _energy(self, gain: float, degree_term: float, novelty: float) -> float:
         """Compute E_s' of a kept mutant from its gain in degree [m], its dE_V and its novelty."""
         if self._options.mutant_energy == "degree-and-novelty":
             return 1 + gain / 2 + novelty / 2
-        return 1 + self._options.degree_weight * by_degree  # paper equation 17
+        return 1 + self._options.degree_weight * degree_term  # paper equation 17
 
-    def _changed_energy(self, parent: Testcase, kind: str, by_degree: float, failed: bool) -> float:
+    def _changed_energy(self, parent: Testcase, kind: str, degree_term: float, failed: bool) -> float:
         """Count the outcome of the parent's mutant s', and compute the parent's E_s after it (paper equation 14)."""
         options = self._options
         energy = self._corpus.energy(parent.number)
@@ -405,7 +405,7 @@ class BehAVExplor:
             parent.n_failed += failed
             parent.n_passed += not failed
             energy += options.failure_weight * failure_change(failed, parent.n_failed, parent.n_passed)
-            energy += options.degree_weight * by_degree + options.selection_weight * SELECTION_CHANGE
+            energy += options.degree_weight * degree_term + options.selection_weight * SELECTION_CHANGE
         return energy if options.least_energy is None else max(energy, options.least_energy)
 
     def _keep(

@@ -22,7 +22,7 @@ from behavexplor.data.conventions import EPISODE_TIME, STANDING_SPEED, STANDSTIL
 from behavexplor.data.geometry import distances_from_first, distances_from_segments, point_segment_distances
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.data.scripted_logical import ScriptedLogicalScenario, scripted
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario, require_scripted
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.aiming import Aiming, AimingOptions, Drive
@@ -208,7 +208,7 @@ class Encounters:
     Options: ClassVar[type] = EncountersOptions
 
     def __init__(self, logical: LogicalScenario, seed: int, options: EncountersOptions) -> None:
-        self._logical = scripted(logical, "The search method 'encounters', which aims vehicles along routes,")
+        self._logical = require_scripted(logical, "The search method 'encounters', which aims vehicles along routes,")
         self._seed, self._options = seed, options
         self._aiming = Aiming(self._logical, options.aiming)
         self._number = 0

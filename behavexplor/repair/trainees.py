@@ -20,7 +20,7 @@ from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_envi
 from behavexplor.ads.sb3.dense_layers import dense_layers, trained_network
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, OWN, WEIGHTS, describe, find_model
 from behavexplor.data.durable import write_durably, write_saved
-from behavexplor.data.scripted_logical import scripted
+from behavexplor.data.scripted_logical import require_scripted
 from behavexplor.data.target import Target
 from behavexplor.data.untrusted import read_file
 from behavexplor.envs.making import make_vector_env
@@ -122,7 +122,7 @@ def _of_network(simulation: Simulation, env: str, path: Path, seed: int, envs: i
     """Return a policy whose network is that of a file, with a new critic."""
     network = read_network(path)
     scenarios = _scenarios(simulation, envs or _ENVS)
-    venv = LearningVecEnv(scenarios, scripted(simulation.logical, "Training of a network").roadmap)
+    venv = LearningVecEnv(scenarios, require_scripted(simulation.logical, "Training of a network").roadmap)
     layers = tuple(len(bias) for _, bias in network.layers[:-1])
     model = new_model(TrainingConfig(seed=seed, envs=venv.num_envs, layers=layers), venv)
     load_layers(model, network.layers)

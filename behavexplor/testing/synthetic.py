@@ -7,7 +7,7 @@ import numpy as np
 
 from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.scenario import LogicalScenario
-from behavexplor.data.scripted_logical import scripted
+from behavexplor.data.scripted_logical import require_scripted
 from behavexplor.data.trace import Trace
 
 RATE = 20  # frames per second
@@ -22,7 +22,7 @@ def synthetic_trace(scenario: Any, logical: LogicalScenario) -> Trace:
     Raises:
         InputError: if its vehicles are not scripted.
     """
-    roadmap = scripted(logical, "A synthetic trace").roadmap
+    roadmap = require_scripted(logical, "A synthetic trace").roadmap
     rng = np.random.default_rng(crc32(scenario.to_json().encode()))
     time = np.arange(rng.integers(300, 900)) / RATE
     speed = np.clip(np.interp(time, np.linspace(0, 45, 10), rng.uniform(-3, 11, 10)), 0, None)

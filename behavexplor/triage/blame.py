@@ -7,7 +7,7 @@ import numpy as np
 
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
-from behavexplor.data.scripted_logical import scripted
+from behavexplor.data.scripted_logical import require_scripted
 from behavexplor.data.trace import OBSTACLE, PARTNER, Trace
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import R1, violation_event
@@ -57,7 +57,7 @@ def blame(
         return None
     if simulation.logical.has_original:  # one of highway-env's own environments, whose vehicles react to the ego
         return _blame_in_reactive_traffic(by_trace, scenario, trace, rng, chance)
-    inside = in_junction(scripted(simulation.logical, "Blame").roadmap, trace)
+    inside = in_junction(require_scripted(simulation.logical, "Blame").roadmap, trace)
     if by_trace != "other":  # scripted vehicles do not crash, so none is a wreck
         return Blame(by_trace, inside)
     witness, tried = find_witness(simulation, scenario, trace, event, rng)

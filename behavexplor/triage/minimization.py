@@ -68,7 +68,7 @@ def recorded_signature(record: Record, trace: Trace, specs: Sequence[Spec]) -> S
 
 
 class ManyScenarios:
-    """Executes scenarios of one driver, in lock-step where that is possible."""
+    """Executes scenarios of one driver, in lock-step unless `episodes` is None because it is not possible."""
 
     def __init__(self, simulation: Simulation, episodes: LockStep | None) -> None:
         self.simulation = simulation
@@ -187,8 +187,8 @@ def minimized(
 ) -> tuple[Minimized, Trace]:
     """Minimize a failure, and return it with the trace of its scenario.
 
-    Its class stays the same, and so do its fault and cause as far as the finding `known` tells them, which is None
-    without triage. The driver is that of the execution; seed and specs are the campaign's.
+    Its class stays the same, and so do its fault and cause as far as `known` tells them: the finding of triage; None
+    without triage. `driven` has the driver of the execution. `seed` and `specs` are the campaign's.
     """
     logical, scenario = driven.simulation.logical, record.load_scenario()
     parts, removable = logical.parts(scenario), logical.removable
@@ -233,7 +233,9 @@ def left_as_found(
 
 
 def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = False) -> list[int]:
-    """Return the failures to minimize, in order: those of the numbers, or else the first of each class, or `every` one.
+    """Return the failures to minimize, in order: those of the given numbers; without them, the first of each class.
+
+    With `every`, all failures are chosen instead.
 
     Raises:
         InputError: if an execution has no failure.
@@ -254,9 +256,10 @@ class RunMinimization:
 
     A failure in which the driver ends or blocks its process, or does so in a simpler scenario, is left as it was found.
 
-    `numbers` are those of failed executions; without them, the first failure of each class is chosen, or `every` one.
-    Those that were minimized before are done again only `afresh`. 0 `workers` use this process. A `driver` of this
-    process drives in place of the one that the configuration names. The numbers still to be minimized are `waiting`.
+    `numbers` and `every` choose failures, see `chosen_failures`. With `afresh`, those that were minimized before are
+    minimized again. `workers` is the number of worker processes; 0 for this process. `driver` is an ADS of this process
+    that drives in place of the one that the configuration names; None for none. The attribute `waiting` has the numbers
+    still to be minimized.
 
     Raises:
         InputError: if the folder is not a run folder, or is damaged, or an execution has no failure.
@@ -273,8 +276,10 @@ class RunMinimization:
         afresh: bool = False,
         driver: ADS | None = None,
     ) -> None:
-        self._run, self._config = run, config
-        self._workers, self._driver = workers, driver
+        self._run = run
+        self._config = config
+        self._workers = workers
+        self._driver = driver
         with closing(Store.read(run)) as store:
             self._chosen = chosen_failures(store, numbers, every=every)
         self._findings = known_findings(run)
@@ -293,13 +298,13 @@ class RunMinimization:
             RuntimeError: if a failure could not be minimized.
         """
         with closing(Store.read(self._run)) as store, writing(f"The run folder {self._run}"):
-            for minimal in self._minimized(store):
+            for minimal in self._results(store):
                 if minimal is not None:
                     self._found[minimal.id] = minimal
                 observe(sum(number in self._found for number in self.waiting))
         return [self._found[number] for number in self._chosen]
 
-    def _minimized(self, store: Store) -> Iterator[Minimized | None]:
+    def _results(self, store: Store) -> Iterator[Minimized | None]:
         """Minimize the waiting failures, write the results into the run folder, and yield them in order.
 
         While one takes long, None is yielded every `PATIENCE` seconds.
@@ -324,8 +329,9 @@ class RunMinimization:
 
     def _as_found(self, executor: Executor, execution: Execution) -> tuple[Minimized, bytes]:
         logical, specs = logical_of_target(executor, self._config.env), load_specs(self._config.specs)
-        known, trace = self._findings.get(execution.id), execution.load_trace()
-        return left_as_found(logical, specs, execution.record, trace, known), execution.trace
+        known = self._findings.get(execution.id)
+        trace = execution.load_trace()
+        return left_as_found(logical, specs, execution.record, trace, known), execution.trace  # as bytes
 
 
 def _ends_process(record: Record) -> bool:

@@ -18,7 +18,7 @@ from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.geometry import box_corners, boxes_overlap, project_on_polyline
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
-from behavexplor.data.scripted_logical import scripted
+from behavexplor.data.scripted_logical import require_scripted
 from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
@@ -276,7 +276,9 @@ def drive(
     envs = simulation.vector_env(len(evasions), **_config(rate, trace.duration + SURVIVED))
     if envs is None:
         return []
-    driver = EvasionDriver(trace, evasions, path, scripted(simulation.logical, "An evasion").roadmap.speed_limit)
+    driver = EvasionDriver(
+        trace, evasions, path, require_scripted(simulation.logical, "An evasion").roadmap.speed_limit
+    )
     ended = dict(rollout_all(envs, driver, [scenario] * len(evasions)))
     envs.close()
     return [ended[row] for row in range(len(evasions))]

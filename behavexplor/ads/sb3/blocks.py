@@ -2,7 +2,8 @@
 
 On a CPU, the last bits of a function of many numbers depend on their count, and on the position of a number among them.
 So a network always receives blocks of equally many rows, padded with zeros, and linear layers multiply rows separately.
-With other layers or foreign code, it gets one row at a time. `DenseActor` is a shortcut, and `drawn_by` draws actions.
+A network with other layers, or with code from elsewhere, receives one row at a time. `DenseActor` gives the answers of
+small networks faster, and `drawn_by` draws actions by given numbers.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -67,12 +68,12 @@ class BlockwiseNetwork:
     def ask(
         self, observation: Observation, memory: Memory | None, episode_start: Bools | None, noise: Floats | None = None
     ) -> tuple[Array, Memory | None]:
-        """Return the network's actions, shape (B, ...), and its memory: arrays (layers, B, ...), None if it has none.
+        """Return the network's actions, shape (B, ...), and its memory; None if it has none.
 
         Args:
             observation: arrays of shape (B, ...).
-            memory: what the last call returned; None at first.
-            episode_start: see `behavexplor.ads.interface.ADS.predict`.
+            memory: memory that the last call returned, arrays of shape (layers, B, ...); None at first.
+            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
             noise: numbers in [0, 1) by which actions are drawn, shape (B, `noise_of(network)`); None for the most
                 probable actions.
         """
@@ -233,7 +234,7 @@ class DenseActor:
         self._shape = policy.observation_space.shape
         self._inputs = self._steps[0].inputs[:, : int(np.prod(self._shape or ()))].numpy()
         self._outputs = self._steps[-1].outputs
-        self._numbers = self._outputs.numpy()
+        self._output_array = self._outputs.numpy()
         self._operations: dict[int, list[Operation]] = {}  # by number of rows
 
     def decide(self, observation: Array) -> Array | None:
@@ -262,7 +263,7 @@ class DenseActor:
             self._operations[count] = [operation for step in self._steps for operation in _operations(step, count)]
         for operation in self._operations[count]:
             operation()
-        if not np.isfinite(self._numbers[:count]).all():
+        if not np.isfinite(self._output_array[:count]).all():
             return None
         return self._choice(self._outputs).numpy()[:count].copy()  # the next call fills the same block
 
@@ -363,9 +364,9 @@ def noise_of(network: BasePolicy) -> int:
     """Return how many random numbers an action needs; 0 if the policy has no distribution that is known here."""
     policy: Any = network
     if _is_squashed(policy):
-        return 0 if policy.actor.use_sde else _numbers(policy.action_space)
+        return 0 if policy.actor.use_sde else _action_size(policy.action_space)
     is_known = type(getattr(policy, "action_dist", None)).__name__ in _KNOWN_DISTRIBUTIONS
-    return _numbers(policy.action_space) if is_known and hasattr(policy, "get_distribution") else 0
+    return _action_size(policy.action_space) if is_known and hasattr(policy, "get_distribution") else 0
 
 
 def drawn_by(network: BasePolicy, noise: Floats) -> Callable[..., Any]:
@@ -424,5 +425,5 @@ def _normal(shares: Tensor) -> Tensor:
     return quantiles
 
 
-def _numbers(space: gymnasium.Space[Any]) -> int:
+def _action_size(space: gymnasium.Space[Any]) -> int:
     return int(np.prod(space.shape or (1,)))

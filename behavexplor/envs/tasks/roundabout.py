@@ -15,12 +15,8 @@ from behavexplor.envs.tasks.task import DRAWN, Config, Task, TaskKind, check_dis
 from behavexplor.envs.values import Kind, optional
 from behavexplor.jit import kernel_inner
 
-_DESTINATIONS: Final = (
-    "exr",
-    "sxr",
-    "nxr",
-    "nxs",
-)  # others draw one of the first three, in this order; the last is the ego's
+# others draw one of the first three, in this order; the last is the ego's
+_DESTINATIONS: Final = ("exr", "sxr", "nxr", "nxs")
 
 
 def _put_starts(row: Any, config: Config) -> None:

@@ -16,19 +16,19 @@ from behavexplor.envs.engine.lane_network import Network, make_network, road_num
 from behavexplor.envs.engine.state import ROUTE_STEP, Records, record_type
 from behavexplor.envs.road_objects import LANE_CLASSES, road_network
 
-ScriptedRules: TypeAlias = np.record
+ScriptedRules: TypeAlias = np.record  # a record of `RULES`
 
 RULES: Final = record_type(
     min_speed=np.float64,  # least speed of the ego [m/s]
     max_speed=np.float64,  # greatest speed of the ego [m/s]
-    frequency=np.float64,  # simulation steps [Hz]
-    dt=np.float64,  # duration of a step [s]
+    frequency=np.float64,  # simulation frequency [Hz]
+    dt=np.float64,  # duration of a simulation step [s]
     substeps=np.int64,  # simulation steps per decision
     max_frames=np.float64,  # step at which an episode times out
     arrival_distance=np.float64,  # greatest distance from the destination that counts as arrival [m]
     passed_distance=np.float64,  # distance beyond the destination at which it counts as passed [m]
     standstill_speed=np.float64,  # below which the ego counts as standing [m/s]
-    standstill_frames=np.float64,  # standing steps at which an episode ends by a standstill
+    standstill_frames=np.float64,  # number of standing steps at which an episode ends by a standstill
     destination_x=np.float64,  # position of the destination [m]
     destination_y=np.float64,
     destination_cos=np.float64,  # of the lane's heading at the destination
@@ -84,6 +84,7 @@ def make_world(env: Any) -> ScriptedWorld:
 
 
 def _make_rules(env: Any) -> Records:
+    """Return the rules of a `behavexplor.envs.driving.DrivingEnv`."""
     roadmap, action = env.logical.roadmap, env.action_type
     speeds = action.speed_range if isinstance(action, ContinuousAction) and action.speed_range else None
     table = np.zeros(1, RULES)
