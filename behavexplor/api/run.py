@@ -110,7 +110,7 @@ class Replay:
 
     @property
     def picture(self) -> Image.Image:
-        """The decisive frame: the first touch of a line, the last frame, or without a violation the nearest pass."""
+        """The decisive frame: the first touch of a line, the last one of another failure, or else the nearest pass."""
         return draw(self._footage, decisive_frame(self.trace, self._footage.violated))
 
     def save(self, path: str | Path) -> Path:
@@ -352,7 +352,8 @@ class Run:
         """
         self._given = self._given if driver is None else self._checked(driver)
         config = self._accepted(ALL, goes_on=True)
-        config = config if budget is None else replace(config, budget=str(budget))
+        if budget is not None:
+            config = replace(config, budget=str(budget))
         choices: dict[str, Any] = {"workers": workers, "stop_after": stop_after, "progress": progress}
         try:
             conduct(config, self.folder, self._given, resume=True, **choices)
@@ -361,7 +362,7 @@ class Run:
         return self
 
     def _checked(self, driver: Any) -> GivenDriver:
-        """Return a given driver, if it has the name of this run's driver."""
+        """Return a given driver; an `InputError` if it has another name than this run's driver."""
         given = given_driver(driver)
         if given.name != self.config.ads:
             raise InputError(f"{self.folder} is a run of {self.config.ads!r}, not of {given.name!r}")

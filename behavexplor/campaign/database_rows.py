@@ -19,7 +19,7 @@ from behavexplor.campaign.folder_format import DATABASE_FORMAT, SCHEMA
 
 _LEAST_ROW = 64  # least size of a row [bytes]
 _ROWS_AT_ONCE = 500
-_DAMAGED = (*UNREADABLE, sqlite3.SQLITE_ERROR)  # the last for invalid JSON
+_DAMAGED = (*UNREADABLE, sqlite3.SQLITE_ERROR)  # codes of a damaged file; the last is that of invalid JSON
 
 _BEGINNING = f"BEGIN IMMEDIATE; {SCHEMA} INSERT INTO meta VALUES ('format', '{DATABASE_FORMAT}'); COMMIT;"  # noqa: S608
 _WHOLE = "SELECT id, record, trace, elapsed, checksum, record_checksum FROM executions"
@@ -82,7 +82,7 @@ def written_format(path: Path) -> str | None:
 
 
 def insert(connection: sqlite3.Connection, rows: list[Row], notes: Mapping[str, str] = MappingProxyType({})) -> None:
-    """Write rows and notes (texts by name) in one transaction, in place of those with the same numbers and names."""
+    """Write rows, and notes as texts by name, in one transaction. Those of the same number or name are replaced."""
     with connection:
         connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", notes.items())
         connection.executemany(
@@ -210,8 +210,8 @@ def rebuild(path: Path) -> tuple[int, Path]:
         sqlite3.Error: if the new database cannot be written.
     """
     new, kept = path.with_name(path.name + ".part"), _free_name(path)
-    for ending in ("", *AUXILIARY):
-        new.with_name(new.name + ending).unlink(missing_ok=True)
+    for leftover in (new, *(new.with_name(new.name + ending) for ending in AUXILIARY)):
+        leftover.unlink(missing_ok=True)
     with closing(connect(new, "rwc")) as connection:
         begin(connection)
         saved, rows = 0, _readable(path)

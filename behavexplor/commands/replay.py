@@ -175,8 +175,9 @@ def _driven(
     execution: Execution, config: CampaignConfig, witness: Witness | OtherDriver, recorded: Trace
 ) -> tuple[Trace, bool]:
     """Drive a witness, and return its trace and whether it avoids the collision and fails in no other way."""
-    scenario: Any = execution.scenario
-    if isinstance(witness, OtherDriver) != scenario.has_original:  # other drivers are for highway-env's environments
+    scenario: Any = execution.scenario  # of the witness's kind, as is checked
+    is_for_highway = isinstance(witness, OtherDriver)
+    if is_for_highway != scenario.has_original:
         raise InputError(f"The avoidance stored for execution {execution.id} belongs to an environment of another kind")
     if isinstance(witness, OtherDriver):
         trace = drive_again(scenario, witness)

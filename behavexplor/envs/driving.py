@@ -201,7 +201,7 @@ class DrivingEnv(PlainSimulation):
         self._terms = {}
         self.scenario = scenario
         self._is_shown = False
-        self.define_spaces()
+        self.define_spaces()  # the type of its actions determines the class of the ego
         if self._is_made:
             self._begin()
         observation = self._observed()

@@ -6,6 +6,7 @@ import platform
 import socket
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
@@ -46,7 +47,11 @@ def machine_fingerprint(ads: Iterable[str]) -> bytes:
 
 def library_versions() -> dict[str, str]:
     """Return the versions of the installed libraries that compute results, by name."""
-    return {name: version(name) for name in _LIBRARIES.values() if _is_installed(name)}
+    versions = {}
+    for name in _LIBRARIES.values():
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return versions
 
 
 def _fingerprint(ads: Iterable[str], libraries: Iterable[str]) -> bytes:
@@ -60,14 +65,6 @@ def _fingerprint(ads: Iterable[str], libraries: Iterable[str]) -> bytes:
     for name in ads:
         found |= _ads_digest(name)
     return json.dumps(found).encode()
-
-
-def _is_installed(library: str) -> bool:
-    try:
-        version(library)
-    except PackageNotFoundError:
-        return False
-    return True
 
 
 def difference(theirs: bytes, ours: bytes) -> str | None:

@@ -88,10 +88,10 @@ def serve(
         threadpool_limits(1)  # includes libraries that the ADS has loaded
         gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     except InputError as error:
-        _send(connection, packed([with_key(0, error_answer(error))]))
+        _send(connection, [with_key(0, error_answer(error))])
         return
     ready = READY + str(service.batch.capacity if service.batch else 1).encode()
-    _send(connection, packed([with_key(0, ready)]))
+    _send(connection, [with_key(0, ready)])
     requests: queue.SimpleQueue[Request | None] = queue.SimpleQueue()
     Thread(target=_receive, args=(connection, requests), daemon=True).start()
     try:
@@ -156,14 +156,15 @@ class _Answers:
         """Send the answers if they are enough or have waited for long; `at_once`, send them if there are any."""
         is_due = at_once or len(self._waiting) >= self._together or time.monotonic() - self._since > _LONGEST_WAIT
         if self._waiting and (is_due or sum(map(len, self._waiting)) > _MOST_WAITING):
-            _send(self._connection, packed(self._waiting))
+            _send(self._connection, self._waiting)
             self._waiting = []
 
 
 def _work(answers: _Answers, requests: "queue.SimpleQueue[Request | None]", service: Service) -> None:
     batch, working = service.batch, 0
+    capacity = batch.capacity if batch else 1
     while True:
-        while working == 0 or (batch and working < batch.capacity and not requests.empty()):
+        while working == 0 or (working < capacity and not requests.empty()):
             answers.send(at_once=working == 0)
             if (request := requests.get()) is None:
                 return
@@ -186,9 +187,9 @@ def _answer(result: bytes | Exception | None) -> bytes:
     return error_answer(result) if isinstance(result, Exception) else RESULT + result
 
 
-def _send(connection: Connection, message: bytes) -> None:
+def _send(connection: Connection, answers: list[bytes]) -> None:
     try:
-        connection.send_bytes(message)
+        connection.send_bytes(packed(answers))
     except OSError:  # the ADS has closed our files, or the campaign has ended
         os._exit(CLOSED)
 

@@ -88,7 +88,8 @@ def _products(points: Floats, others: Floats) -> tuple[Floats, Floats]:
 def fit_ensemble(points: Floats, values: Floats, rng: np.random.Generator) -> Ensemble:
     """Fit a quadratic polynomial, an RBF regressor and a Gaussian process, weighted by their errors on held-out rows.
 
-    The points have the shape (n, features), n >= 2, and the objectives there (n, k). `rng` draws the held-out rows.
+    `points` have the shape (n, features), n >= 2; `values` are the objectives at them, shape (n, k). `rng` draws the
+    held-out rows.
     """
     n = len(points)
     weights = np.full((len(KERNELS), values.shape[1]), 1 / len(KERNELS))
@@ -134,9 +135,9 @@ def _coefficients(kernel: Kernel, length: float, points: Floats, values: Floats)
 def survivors(values: Floats, count: int) -> Ints:
     """Return the indices of the `count` fittest of n individuals, the fittest first, shape (count,).
 
-    The best of each objective come first, then the others by fronts, then by crowding distance. The objectives, shape
-    (n, k), are minimized, and `count` is at most n. Sources: Panichella et al., "Reformulating branch coverage as a
-    many-objective optimization problem", ICST 2015 (preference sorting); Deb et al., NSGA-II, 2002 (fronts, crowding).
+    The best of each objective come first, then the others by fronts, then by crowding distance. `values`, shape (n, k),
+    are the objectives, which are minimized; `count` is at most n. Sources: Panichella et al., "Reformulating branch
+    coverage as a many-objective optimization problem", ICST 2015 (preference sorting); Deb et al., NSGA-II, 2002.
     """
     ranks = preference_ranks(values)
     crowding = np.zeros(len(values))
@@ -181,8 +182,10 @@ class SAMOTAOptions:
     The preset `samota-seeded` has a variant whose searches begin with the best executions, failures included.
     """
 
-    population: Annotated[int, between(2, MAX_POPULATION)] = 6  # initial scenarios; individuals in a global generation
-    adaptive_samples: Annotated[int, between(1)] = 10  # points drawn for an initial scenario; the farthest is taken
+    # number of initial scenarios, and of predicted individuals in a generation of a global search
+    population: Annotated[int, between(2, MAX_POPULATION)] = 6
+    # number of points drawn for each initial scenario. The farthest from all earlier ones is taken.
+    adaptive_samples: Annotated[int, between(1)] = 10
     # first generation of a search: "random" individuals, or the "best" executed scenarios (in a local search the
     # executed scenarios of the cluster)
     start: Literal["random", "best"] = "random"
@@ -191,18 +194,22 @@ class SAMOTAOptions:
     # greatest number of executions that a global surrogate learns from; half of them are the best ones. It bounds the
     # cost of an execution, which grows with the cube of this number.
     database_limit: Annotated[int, between(10, 10_000)] = 300
-    local_share: Annotated[float, between(0.001, 1)] = 0.2  # share of executions: the best of an objective
-    local_limit: Annotated[int, between(10, 10_000)] = 100  # greatest number of these executions
-    cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5  # least number of them in a cluster of a local search
-    local_population: Annotated[int, between(2, MAX_POPULATION)] = 6  # individuals in a local generation
+    # share of the executions, the best of each objective, from which a local search starts
+    local_share: Annotated[float, between(0.001, 1)] = 0.2
+    # greatest number of executions from which a local search starts
+    local_limit: Annotated[int, between(10, 10_000)] = 100
+    # least number of executions in a cluster of a local search
+    cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5
+    # number of predicted individuals in a generation of a local search
+    local_population: Annotated[int, between(2, MAX_POPULATION)] = 6
     local_generations: Annotated[int, between(1)] = 200  # number of generations in a local search
-    tournament: Annotated[int, between(1, MAX_POPULATION)] = 10  # the fittest of so many becomes a parent; 1: any one
-    crossover: Literal["one-point", "npcs"] = "one-point"  # of two vectors at one point, or exchange of whole NPCs
+    tournament: Annotated[int, between(1, MAX_POPULATION)] = 10  # individuals, whose fittest is a parent; 1: any one
+    crossover: Literal["one-point", "npcs"] = "one-point"  # of two vectors at one point; "npcs" exchanges whole NPCs
     # probability that two parents are crossed at a point, or that an NPC comes from the second parent
     crossover_probability: Annotated[float, between(0.001, 1)] = 0.75
-    mutation: Literal["uniform", "gaussian"] = "uniform"  # genes drawn anew, or noise on genes
-    mutation_probability: Annotated[float, between(0.001, 1)] | None = None  # of a gene; None for 1 / n with n genes
-    mutation_sigma: Annotated[float, between(0.001, 1)] = 0.2  # of the noise, as a share of the gene's range
+    mutation: Literal["uniform", "gaussian"] = "uniform"  # "uniform" draws genes anew, "gaussian" adds noise
+    mutation_probability: Annotated[float, between(0.001, 1)] | None = None  # None for 1 / n, with n genes
+    mutation_sigma: Annotated[float, between(0.001, 1)] = 0.2  # standard deviation of noise, as a share of the range
 
 
 class _Extremes:
@@ -359,9 +366,9 @@ class SAMOTA:
         low: Floats | float = 0.0,
         high: Floats | float = 1.0,
     ) -> Floats:
-        """Breed points, shape (count, n), by selection, crossover and mutation of parents, the fittest first, (p, n).
+        """Breed points, shape (count, n), by selection, crossover and mutation of parents.
 
-        The bounds of the genes are numbers, or have the shape (n,).
+        `parents`, shape (p, n), are sorted, the fittest first. `low` and `high` bound genes: numbers, or shape (n,).
         """
         bred = self._crossed_npcs if self._options.crossover == "npcs" else self._crossed_at_a_point
         children = bred(parents, count, rng)

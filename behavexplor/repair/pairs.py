@@ -103,7 +103,7 @@ def paired(first: Iterable[Record], second: Iterable[Record], asked: Collection[
     """
     records = list(zip(first, second, strict=True))
     for one, other in records:
-        if _scene(one) != _scene(other):
+        if one.load_scenario().scene != other.load_scenario().scene:  # what is the same for every driver
             raise InputError(f"Execution {one.id} is another scenario in the other run, so they cannot be compared")
     ours = [spec.name for spec in SPECS]
     judged = dict.fromkeys(name for pair in records for one in pair for name in (*one.degrees, *one.violated))
@@ -140,11 +140,6 @@ def _pairs(outcome: str, records: Sequence[tuple[Record, Record]], shown: Callab
 
 def _violation_of(name: str) -> Callable[[Record], bool]:
     return lambda record: name in record.violated
-
-
-def _scene(record: Record) -> object:
-    """Return what is the same in the scenarios of two drivers."""
-    return record.load_scenario().scene
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,8 @@ def kind_of(cls: type[RoadObject]) -> int:
     """
     computed = _computed(cls)
     for kind, known in _CLASSES.items():
-        if computed is None and issubclass(cls, known) and replaced(cls, known, _CHANGEABLE) is None:
+        is_alike = issubclass(cls, known) and replaced(cls, known, _CHANGEABLE) is None
+        if is_alike and computed is None:
             return kind
     parent = next((parent for parent in cls.__mro__ if parent in _CLASSES.values()), cls)
     reason = computed or replaced(cls, parent, _CHANGEABLE) or "its class"  # the last one if no parent is known
@@ -149,7 +150,7 @@ class VehicleClasses:
 
 @contextmanager
 def kept_parameters() -> Iterator[None]:
-    """Undo afterwards what `IntersectionEnv` does to the class of its vehicles."""
+    """Undo afterwards what `IntersectionEnv` does to the class of its vehicles, which all other environments share."""
     before = parameters()
     try:
         yield
