@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from behavexplor.data.npc_motion import motion_on_route
 from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.data.scripted_logical import scripted
+from behavexplor.data.scripted_logical import require_scripted
 from behavexplor.execution.simulation import Simulation
 from behavexplor.fuzz.aiming import Aiming, AimingOptions, Drive
 from behavexplor.fuzz.encounters import Encounters, EncountersOptions, Niche
@@ -51,7 +51,7 @@ class Aimed(NamedTuple):
 
 def aimed(simulation: Simulation) -> Aimed:
     """Aim a vehicle at the ego's drive on the empty road."""
-    logical = scripted(simulation.logical, "The figure")
+    logical = require_scripted(simulation.logical, "The figure")
     drive = Drive.of(simulation.run(ScriptedScenario(logical.name, ())))
     drawn: list[tuple[Floats, Floats]] = []
 

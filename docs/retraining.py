@@ -26,8 +26,10 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
 from behavexplor.data.target import Target
-from behavexplor.evaluation import outcomes_in, start_judge, uniform_outcomes
+from behavexplor.evaluation import start_judge, uniform_outcomes
+from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import logical_of_target
+from behavexplor.judge.outcomes import outcomes_of
 from behavexplor.repair.retraining import policy_in, retrain, search_config
 from behavexplor.repair.retraining_rounds import CONFIG, RetrainingConfig, best
 
@@ -121,8 +123,8 @@ def measured(line: Line, policy: str, last: str, folder: Path) -> Line:
     search(target, subject.method, SEARCH_SEED, fresh)
     with closing(Store.read(known)) as store:
         held_out = [one.scenario for one in store.executions() if one.record.at_fault]
-    with start_judge(target, 0) as judge:
-        left = sum(one.at_fault for one in outcomes_in(judge, held_out))
+    driven = Simulation(target.env, policy).run_all(held_out)
+    left = sum(outcomes_of(trace).at_fault for _, trace in driven)
     found = summarize(fresh)
     return replace(
         line,

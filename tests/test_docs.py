@@ -1,7 +1,10 @@
 """The documentation says what the code says."""
 
+import ast
+import importlib
 import inspect
 import json
+import pkgutil
 import re
 import runpy
 import shutil
@@ -168,6 +171,20 @@ def test_the_aimed_vehicle_of_the_figure_meets_the_recorded_ego():
     assert least[found.chosen] < found.reach
     assert sum(least > found.reach) > len(least) / 2  # most drawn vehicles miss
     assert len(made["figure"](found, {}).axes) == 3
+
+
+@pytest.mark.parametrize(
+    "script", sorted([*ROOT.glob("docs/*.py"), *ROOT.glob("benchmarks/*.py")]), ids=lambda path: path.stem
+)
+def test_what_a_script_imports_exists(script):
+    """Most scripts take too long to be run by a test."""
+    for statement in ast.walk(ast.parse(script.read_text())):
+        if isinstance(statement, ast.ImportFrom) and str(statement.module).startswith(("behavexplor", "benchmarks")):
+            module = importlib.import_module(statement.module)
+            modules = {one.name for one in pkgutil.iter_modules(getattr(module, "__path__", []))}
+            missing = [one.name for one in statement.names if not hasattr(module, one.name)]
+            missing = [name for name in missing if name not in modules]
+            assert not missing, f"{statement.module} has no {missing}"
 
 
 def test_tables_are_put_into_their_places(tmp_path):

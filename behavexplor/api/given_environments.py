@@ -53,7 +53,7 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
     _check_limit(given.spec, config)
     own, is_stated = default_config(given.spec.id), is_highway(given.spec.id)
     of_scene = set(config) - set(DECLARED) if is_stated else set()
-    changed = {key for key, value in config.items() if key not in own or own[key] != value}
+    changed = {key for key in config.keys() - of_scene if key not in own or own[key] != config[key]}
     return given.spec.id, json.loads(config_text({key: config[key] for key in of_scene | changed}))
 
 

@@ -42,7 +42,7 @@ class Experiment(Conditions):
     the ranges of values.
 
     Raises:
-        InputError: if a named method is not in the experiment.
+        InputError: if a limit, a name or a campaign's value is invalid, or there are too many campaigns.
     """
 
     name: str  # name of the experiment and of its folder

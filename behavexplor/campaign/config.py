@@ -151,7 +151,7 @@ def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
 def read_config(
     name: str, *, what: str = "configuration (neither a file nor a preset)", folder: str = ""
 ) -> dict[str, Any]:
-    """Read the values in the YAML file of a campaign, or in a preset in `configs/`, such as "paper".
+    """Read the values in the YAML file of a campaign or an experiment, or in a preset, such as "paper".
 
     `what` names the kind of file in the message, and `folder` is the presets' folder in `configs/`.
 

@@ -71,7 +71,7 @@ class Claim:
     hint: str = ""  # another way to agree, for the message
 
     def digests(self, *parts: Sequence[Code]) -> tuple[dict[str, str], list[str]]:
-        """Return the digests of the modules; and for each part of the code, the folder's as if it named only this."""
+        """Return the digests of the modules, and for each part of the code the folder's as if it had only this."""
         modules = digests_of(one.module for one in self.code)
         files = files_of_model(self.policy)
         read = [(path.name, hashlib.sha256(read_file(path, MAX_BYTES)).hexdigest()) for path in files]
@@ -116,7 +116,7 @@ def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = A
     asks = claim.asks and ADS in runs
     if not running and not asks:
         return Permission()
-    # a folder is known by all its code or, where the user has named some of it, by the rest
+    # a folder is known by all its code, or by what is left where the user has named some or the driver is not run
     modules, digests = claim.digests(claim.code, left)
     if any(digest in consent.trust or is_own(digest) for digest in digests):
         import_checked(_named_by(modules, [one for one in running if one.key in _HERE]))

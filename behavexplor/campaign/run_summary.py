@@ -86,9 +86,8 @@ class RunSummary:
         """Return the figures as JSON values."""
         values = {**asdict(self), "failure_rate": self.failure_rate, "at_fault_rate": self.at_fault_rate}
         values["uniform"] = None if self.uniform is None else self.uniform.to_dict()
-        values["classes"] = [
-            {"id": one.id, "words": one.words, **asdict(one)} for one in self.classes
-        ]  # words in front
+        # id and words before the other fields
+        values["classes"] = [{"id": one.id, "words": one.words, **asdict(one)} for one in self.classes]
         return values
 
 

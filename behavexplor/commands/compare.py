@@ -116,7 +116,7 @@ def _configs(first: str, given: Mapping[str, Any], scenarios: int) -> tuple[Camp
     """Return the configuration of the campaigns of the driver `first`, and that of the search for differences."""
     env = named_env(given.get("env"), first) or CampaignConfig.env  # as given, or that of A's training
     shared = {name: value for name, value in given.items() if name not in ("method", "budget")}
-    both = {"env": env, "ads": first, "budget": str(scenarios), **pair_campaigns.SETTINGS}  # which are drawn uniformly
+    both = {"env": env, "ads": first, "budget": str(scenarios), **pair_campaigns.SETTINGS}  # uniform draws
     config = campaign_config({**shared, **both})
     return config, replace(
         config,

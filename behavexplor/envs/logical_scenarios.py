@@ -72,8 +72,8 @@ def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
 def straight_road(start_lane: int, target_lane: int, ego_start: float, destination: float) -> RoadMap:
     """Build a straight road with four lanes in one direction, beside the lanes of the opposite direction.
 
-    `start_lane` and `target_lane` are the ego's, counted from the left and from 0. `ego_start` is the distance of its
-    start from the beginning of the first one, and `destination` that of its destination into the second one [m].
+    `start_lane` and `target_lane` are the ego's, counted from the left and from 0. `ego_start` and `destination` are
+    the distances of its start and its destination from the beginning of the road [m].
     """
     lanes = {lane.name: lane for lane in _road_lanes()}
     routes = [Route(f"lane-{i + 1}", (lanes[f"road-{i + 1}"], lanes[f"onward-{i + 1}"])) for i in range(ROAD_LANES)]

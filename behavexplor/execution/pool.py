@@ -248,10 +248,10 @@ class WorkerPool(Executor):
         elif not worker.is_ready:
             _fail(worker.tasks.values(), InputError(content.decode()))
             self._remove(worker)
-        elif tag == SUSPECT and not worker.tasks[key].alone:  # a call that was alone cannot be asked to be made alone
+        elif tag == SUSPECT and not worker.tasks[key].alone:  # otherwise it is no answer
             self._again([worker.tasks.pop(key)])
         else:
-            settle(worker.tasks[key].future, answer)  # raises if the ADS wrote the answer; the call is repeated then
+            settle(worker.tasks[key].future, answer)  # raises if it is no answer; its call must stay then
             del worker.tasks[key]
             if self._recipe.long_calls:
                 self._remove(worker)

@@ -103,11 +103,11 @@ class Node:
             return error_answer(error, self._place)
 
     async def stop(self) -> None:
-        """Ask the worker to end a long call early. Only a node that is ready has one."""
+        """Ask the worker, which a node that is ready has, to end a long call early."""
         self._pool.stop()
 
     async def end(self) -> None:
-        """End the worker's process, by force if need be. Only a node that is ready has one."""
+        """End the process of the worker, which a node that is ready has, by force if need be."""
         await asyncio.to_thread(self._pool.shutdown, wait=False)
 
 

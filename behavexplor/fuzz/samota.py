@@ -208,7 +208,7 @@ class SAMOTAOptions:
     # probability that two parents are crossed at a point, or that an NPC comes from the second parent
     crossover_probability: Annotated[float, between(0.001, 1)] = 0.75
     mutation: Literal["uniform", "gaussian"] = "uniform"  # "uniform" draws genes anew, "gaussian" adds noise
-    mutation_probability: Annotated[float, between(0.001, 1)] | None = None  # None for 1 / n, with n genes
+    mutation_probability: Annotated[float, between(0.001, 1)] | None = None  # of a gene; None for 1 / n, with n genes
     mutation_sigma: Annotated[float, between(0.001, 1)] = 0.2  # standard deviation of noise, as a share of the range
 
 

@@ -42,6 +42,7 @@ def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
     """Return the violations of a trace that are the ego's own.
 
     `violated` are the names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
+
     A collision that another vehicle caused is left out. It also ended the drive, so a missed destination is left out
     with it.
     """

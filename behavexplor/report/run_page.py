@@ -35,7 +35,7 @@ MOST_REPLAYS: Final = 2000  # greatest number of replays of each run
 MOST_COMPARED: Final = 750  # greatest number of executions on the map of behaviors
 MOST_POSITIONS: Final = 50_000_000  # greatest number of positions, one of each vehicle in each frame, in a run's traces
 MOST_STATES: Final = 2_000_000  # greatest length of all behaviors on the map together, in abstract states
-MOST_SHOWN: Final = 200_000  # greatest number of places in one replay
+MOST_SHOWN: Final = 200_000  # greatest number of positions in one replay
 
 _NOT_EXAMINED: Final = "not examined"
 _PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30  # greatest numbers of ribbons of executions that passed, and of classes

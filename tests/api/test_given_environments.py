@@ -1,6 +1,7 @@
 """Environments that users of the Python interface give as objects."""
 
 import gymnasium
+import numpy as np
 import pytest
 from gymnasium.wrappers import TimeLimit, TransformReward
 
@@ -22,6 +23,11 @@ def test_a_wrapper_of_rewards_changes_nothing_for_a_driver():
 def test_a_limit_that_a_campaign_would_not_keep_is_refused(shorten):
     with pytest.raises(InputError, match="after 3 steps"):
         environment_of(shorten())
+
+
+def test_a_scene_may_have_arrays():
+    env = gymnasium.make("highway-fast-v0", config={"reward_speed_range": np.array([20.0, 30.0])})
+    assert environment_of(env)[1]["reward_speed_range"] == [20.0, 30.0]
 
 
 def test_a_limit_that_is_never_reached_is_harmless():

@@ -79,7 +79,7 @@ class Parameters:
     slow_speed: float = 2.0  # speed below which the ego counts as stopping inside a junction [m/s]
     delay_cost: float = 1.0  # cost per meter that the ego is behind one that drives at the speed limit
     acceleration_cost: float = 0.3  # cost of acceleration up to `comfortable_acceleration`, per (m/s2)^2 s
-    braking_cost: float = 1.0  # cost of braking, and of acceleration above that, per (m/s2)^2 s
+    braking_cost: float = 1.0  # cost of braking, and of acceleration beyond comfort, per (m/s2)^2 s
     jerk_cost: float = 0.2  # cost per (m/s2)^2 of change between the stages of a plan
     overspeed_cost: float = 20.0  # cost per (m/s) s above the speed limit
     crossing_cost: float = 100.0  # cost per s within the gap kept from vehicles that cross or merge
