@@ -121,7 +121,7 @@ class Learned:
 def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], None]) -> Path:
     """Train a policy; `observe` gets the progress after each batch of experience.
 
-    A training whose folder has models is resumed from the last of them.
+    The folder has models, logs and the final network. A training is resumed from the last model in it.
 
     Returns:
         The file of the network, for `behavexplor.ads.learned.network_file.read_network`.
@@ -214,10 +214,10 @@ def learning_env(env: str, num_envs: int = 64) -> LearningVecEnv:
 
 
 def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
-    """Write a network, trained in a functional scenario, as a model of Stable-Baselines3 (a ".zip") with a new critic.
+    """Write a network, trained in the functional scenario `env`, as a model of Stable-Baselines3 with a new critic.
 
-    The file beside it describes it. `PPO.load(path, env=learning_env(...))` goes on training it, and `--ads` drives it
-    as the network.
+    The model is a ".zip"; the file that describes it is written beside it. `PPO.load(path, env=learning_env(...))` goes
+    on training the model, and `--ads` drives it as the network.
 
     Raises:
         InputError: if the network is none of this package's policies, or the file cannot be written.
@@ -257,7 +257,7 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
 
 
 def begin_stage(model: BaseAlgorithm, venv: VecEnv, seed: Sequence[int], rate: float) -> None:
-    """Set new episodes, generators and learning rate; `seed` is, say, the training's seed and the stage's number."""
+    """Set new episodes, random generators and the learning rate. `seed` is that of the stage, such as (7, 2)."""
     networks, episodes = np.random.SeedSequence(seed).generate_state(2)
     set_random_seed(int(networks))
     venv.seed(int(episodes))

@@ -110,7 +110,7 @@ class Replay:
 
     @property
     def picture(self) -> Image.Image:
-        """The decisive frame: the first touch of a line, the last one of another failure, or else the nearest pass."""
+        """The decisive frame: the first touch of a line, the last frame of other failures, or the nearest pass."""
         return draw(self._footage, decisive_frame(self.trace, self._footage.violated))
 
     def save(self, path: str | Path) -> Path:
@@ -362,7 +362,7 @@ class Run:
         return self
 
     def _checked(self, driver: Any) -> GivenDriver:
-        """Return a given driver; an `InputError` if it has another name than this run's driver."""
+        """Return a given driver, and check that it has the name of this run's driver."""
         given = given_driver(driver)
         if given.name != self.config.ads:
             raise InputError(f"{self.folder} is a run of {self.config.ads!r}, not of {given.name!r}")

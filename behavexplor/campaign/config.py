@@ -55,7 +55,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class CampaignConfig(Target):
-    """One search method x ADS x environment x seed, with a budget. `Target` has the rest. The help of flags is here.
+    """One search method x ADS x environment x seed, with a budget. `Target` has further fields.
 
     Attributes:
         method: Search method, or package.module:attribute of your own.
@@ -63,7 +63,7 @@ class CampaignConfig(Target):
         seed: Random seed. The same seed gives the same records.
         batch: Number N of scenarios in flight. Each is chosen without the results of the N - 1 before it; 1 is the
             paper's sequential loop. What needs no result, such as uniform draws, keeps all workers busy anyhow.
-        specs: Additional requirement, as package.module:attribute: function from a trace to robustness (docs/specs.md).
+        specs: Additional requirement, as package.module:attribute, a function of a trace (docs/specs.md).
         options: Options of the search method; see its `Options`.
         revision: Revision of the search methods, the environments and the judgment. The same campaign has the same
             records in all versions of this program with the same revision. Campaigns of other revisions can be read,

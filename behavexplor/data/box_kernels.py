@@ -124,7 +124,7 @@ def fill_gaps_from_lines(
 
 @kernel_in_place
 def fill_changed_frames(position: Floats, heading: Floats, frames: Ints) -> int:
-    """Fill in, in order, the frames in which the first vehicle moves or turns, and the first one; return their number.
+    """Fill in frame 0 and each frame in which the first vehicle moves or turns, in order, and return their number.
 
     Centers have the shape (T, N, 2) [m], headings (T, N) [rad], `frames` (T,).
     """
@@ -138,7 +138,7 @@ def fill_changed_frames(position: Floats, heading: Floats, frames: Ints) -> int:
 
 @kernel_inner
 def corners(x: float, y: float, cos: float, sin: float, length: float, width: float) -> Corners:
-    """Compute the corners of an oriented box, in order around it, from its center and the direction of its heading."""
+    """Compute the corners of an oriented box, in order around it, term by term as `geometry.box_corners` does."""
     a, b = 0.5 * length, 0.5 * width
     return (
         (a * cos - b * sin + x, a * cos - -b * sin + x, -a * cos - -b * sin + x, -a * cos - b * sin + x),
@@ -282,8 +282,8 @@ def _nearest(vertices: Floats, x: float, y: float, guess: int, longest: float) -
     From both ends, it looks for vertices nearer than the guess. The farther away a vertex is, the more of the next ones
     cannot be nearer, and are left out.
 
-    The guess changes only the time that this takes; `longest` is the greatest distance between neighboring vertices
-    [m].
+    `vertices` has the shape (P, 2) [m]. `guess`, an index, changes only the time that this takes. `longest` is the
+    greatest distance between neighboring vertices [m].
     """
     nearest, least = guess, _squared_distance(vertices[guess], x, y)
     for first, step in ((0, 1), (len(vertices) - 1, -1)):

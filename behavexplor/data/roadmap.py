@@ -36,7 +36,7 @@ class Lane:
     junction: bool = False  # whether the lane crosses a junction
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Compute x [m], y [m] and heading [rad] at stations [m], also beyond the ends; shape (...) gives (..., 3)."""
+        """Compute x [m], y [m] and heading [rad] at stations, shape (...) [m], also beyond the ends."""
         s = np.asarray(station, dtype=np.float64)
         heading = self.heading + self.curvature * s
         if self.curvature == 0.0:
@@ -91,9 +91,9 @@ class Route:
         return float(self.bounds[-1])
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Compute x [m], y [m] and heading [rad] at stations [m]; shape (...) gives (..., 3).
+        """Compute x [m], y [m] and heading [rad] at stations, shape (...) [m].
 
-        The outer lanes are continued beyond the route's ends.
+        The result has the shape (..., 3). The outer lanes are continued beyond the route's ends.
         """
         s = np.asarray(station, dtype=np.float64)
         index = np.searchsorted(self.bounds[1:-1], s, side="right")

@@ -80,10 +80,10 @@ def _rows_with_values(observation: Observation) -> NDArray[np.bool_]:
 def preflight_warnings(simulation: Simulation) -> list[str]:
     """Drive a few scenarios and return warnings about the ADS, a sentence for each finding.
 
-    On the ADS: it fails, never moves, always gives the same answer, sees or acts through wrappers, or was trained with
-    masks of actions or on a different kind of observations, as when its `VecNormalize` statistics are missing. On the
-    environment: its configuration is not known, it is not compiled, or a scenario does not repeat, alone or beside
-    others.
+    They are on the ADS: that it fails, never moves, always gives the same answer, sees or acts through wrappers, or was
+    trained with masks of actions, or on other observations, because its `VecNormalize` statistics are missing. Or they
+    are on the environment: that its configuration is not known, that it is not compiled, or that a scenario does not
+    repeat, alone or beside others.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -209,8 +209,8 @@ def _motionless(traces: list[Trace]) -> str | None:
 def _foreign(seen: Observation, trained_on: Observation | None) -> str | None:
     """Return a warning if the policy's last training observations lie outside the range observed here.
 
-    `seen` has shape (n, ...), `trained_on` (m, ...), with or without frames stacked along the last axis. None is
-    unknown.
+    `seen` has shape (n, ...). `trained_on`, shape (m, ...), may have frames stacked along its last axis; it is None if
+    it is not known.
     """
     values = _values_outside(seen, trained_on)
     share = float(np.mean(np.concatenate(values))) if values else 0.0

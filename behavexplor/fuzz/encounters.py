@@ -56,7 +56,7 @@ def near_misses(trace: Trace, verdict: Verdict, drive: Drive, reach: float) -> l
     """Return the violation of a failed execution, or the near misses of one that passed.
 
     A collision that an NPC caused teaches nothing about the ego, so it is left out. An execution in which the driving
-    system failed is left out, too. `drive` is that of the trace. No vehicle farther than `reach` [m] is a near miss.
+    system failed is left out, too. `drive` is the ego's drive in the trace. A near miss is within `reach` [m].
     """
     if not verdict.failed:
         return [
@@ -171,7 +171,7 @@ class EncountersOptions:
     initial: Annotated[int, between(1)] = 40
     uniform_share: Annotated[float, between(0, 1)] = 0.1  # share of uniform scenarios
     aimed_share: Annotated[float, between(0, 1)] = 0.5  # share of mutants with a vehicle aimed at their parent's drive
-    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # share with a vehicle drawn anew; in the rest, one is tuned
+    redrawn_share: Annotated[float, between(0, 1)] = 0.1  # share of mutants with one drawn anew; in others one is tuned
     near: Annotated[float, between(0)] = 10.0  # greatest distance of a vehicle that counts as a near miss [m]
     elites: Annotated[int, between(1)] = 4  # number of scenarios that a niche keeps
     failure_cost: Annotated[float, between(0)] = 0.5  # number of tries that a failure counts as
@@ -331,10 +331,9 @@ class Encounters:
 
 
 def tuned(npc: NPC, logical: ScriptedLogicalScenario, rng: np.random.Generator) -> NPC:
-    """Return a vehicle with changed speeds or waypoints, now and then of another type, regardless of other vehicles.
+    """Return a valid vehicle with other speeds or waypoints, now and then of another type, regardless of others.
 
-    The size of the change is drawn over one and a half orders of magnitude, since some niches need a coarse change and
-    others a fine one.
+    The size of the change is drawn over one and a half orders of magnitude: some niches need coarse changes.
     """
     low, high = logical.position_ranges(logical.roadmap.routes[npc.route]).T
     position, speed = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints]).T

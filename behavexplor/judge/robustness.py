@@ -79,7 +79,7 @@ _WANTED: Final = "it must return a number, negative if the trace violates the re
 def as_spec(found: Any, source: str = "") -> Spec:
     """Make a spec from a callable that takes a trace, or from a class whose instances are such callables.
 
-    Its name is its attribute `name`, or else its `__name__`. `source`, its origin, is for error messages.
+    The spec is named by the callable's attribute `name`, or else its `__name__`. `source` is for error messages.
 
     Raises:
         InputError: if `found` is not callable, or its name cannot be used.

@@ -26,6 +26,20 @@ from behavexplor.judge.events import ViolationEvent, first_line_touch
 from behavexplor.triage.closed_loop import ScriptedDriver
 from behavexplor.triage.findings import Witness
 
+SURVIVED: Final = 4.0  # time after the recorded collision during which a witness touches no vehicle [s]
+SAMPLES: Final = 192  # random evasions that are tried before a collision counts as unpreventable
+BATCH: Final = 64  # random evasions driven in lock-step
+ALARM: Final = 2.0  # time to collision below which a careful driver reacts [s]
+DELAY: Final = 0.75  # reaction time of a careful driver [s]
+CAREFUL_BRAKING: Final = 0.774 * 9.81  # [m/s2]
+CAREFUL_JERK: Final = 12.65  # [m/s3]
+IDEAL_BRAKING: Final = 8.5  # [m/s2]
+ANTICIPATING: Final = 4.0  # deceleration of an anticipating driver [m/s2]
+ANTICIPATED: Final = (3.0, 3.5, 4.0, 4.5, 5.0)  # times before the collision at which that driver begins to brake [s]
+EARLIEST, LATEST = 6.0, 0.3  # range of times before the collision at which random evasions begin [s]
+SIDEWAYS: Final = 3.5  # greatest lateral move of a random evasion to either side [m]
+CAREFUL, IDEAL, ANTICIPATION, SAMPLED = "careful and competent", "ideal braking", "anticipation", "sampled"
+
 MAX_ACCELERATION: Final = 10.0  # greatest acceleration and deceleration that `ACTION` can command [m/s2]
 MAX_STEERING: Final = math.pi / 3  # greatest steering angle to either side that `ACTION` can command [rad]
 MOVING: Final = 1e-3  # below this speed, the steering has no effect and cannot be recovered [m/s]
@@ -48,19 +62,134 @@ STEERING: Final = 0.6  # greatest steering angle of an evasion [rad]
 STEERING_RATE: Final = 0.8  # greatest change of an evasion's steering angle [rad/s]
 LATERAL: Final = 5.0  # greatest lateral acceleration that an evasion steers for [m/s2]
 
-SURVIVED: Final = 4.0  # time after the recorded collision during which a witness touches no vehicle [s]
-SAMPLES: Final = 192  # random evasions that are tried before a collision counts as unpreventable
-BATCH: Final = 64  # random evasions driven in lock-step
-ALARM: Final = 2.0  # time to collision below which a careful driver reacts [s]
-DELAY: Final = 0.75  # reaction time of a careful driver [s]
-CAREFUL_BRAKING: Final = 0.774 * 9.81  # [m/s2]
-CAREFUL_JERK: Final = 12.65  # [m/s3]
-IDEAL_BRAKING: Final = 8.5  # [m/s2]
-ANTICIPATING: Final = 4.0  # deceleration of an anticipating driver [m/s2]
-ANTICIPATED: Final = (3.0, 3.5, 4.0, 4.5, 5.0)  # times before the collision at which that driver begins to brake [s]
-EARLIEST, LATEST = 6.0, 0.3  # range of times before the collision at which random evasions begin [s]
-SIDEWAYS: Final = 3.5  # greatest lateral move of a random evasion to either side [m]
-CAREFUL, IDEAL, ANTICIPATION, SAMPLED = "careful and competent", "ideal braking", "anticipation", "sampled"
+
+@dataclass(frozen=True)
+class Evasion:
+    """Driving as recorded up to some time, then braking, accelerating, or moving to the side."""
+
+    name: str  # kind of evasion, for people
+    begin: float  # time up to which the ego drives as recorded [s]
+    acceleration: float  # desired acceleration at first [m/s2]
+    lasting: float = math.inf  # duration of the first acceleration [s]
+    then: float = 0.0  # desired acceleration afterwards [m/s2]
+    jerk: float = math.inf  # limit of the change of the acceleration [m/s3]
+    offset: float = 0.0  # lateral move to the right of the path [m]
+    swing: float = 2.0  # duration of the lateral move [s]
+
+    @property
+    def effort(self) -> float:
+        """Severity of the evasion, lower is milder."""
+        return max(abs(self.acceleration), abs(self.then)) + 2 * abs(self.offset)
+
+
+def find_witness(
+    simulation: Simulation, scenario: Scenario, trace: Trace, event: ViolationEvent, rng: np.random.Generator
+) -> tuple[Witness | None, int]:
+    """Search for a witness of a collision: by models of drivers, the mildest first, then by random evasions.
+
+    Return the witness, or None if no evasion avoids the collision; and the number of evasions that were tried, 0 if the
+    environment cannot run in lock-step. The ADS of the simulation is not used.
+    """
+    tried = 0
+    for batch in range(1 + SAMPLES // BATCH):
+        evasions = [drawn(trace, rng) for _ in range(BATCH)] if batch else modeled(trace, event)
+        path = path_beside_route(trace) if batch else path_straight_on(trace)
+        driven = drive(simulation, scenario, trace, evasions, path)
+        tried += len(driven)
+        good = [i for i, other in enumerate(driven) if avoids(other, trace, evasions[i].begin)]
+        if good:
+            best = good[0] if batch == 0 else min(good, key=lambda i: evasions[i].effort)
+            chosen, commands = evasions[best], recorded_commands(driven[best])
+            return Witness(chosen.name, chosen.begin, frequency(trace), commands), tried
+    return None, tried
+
+
+def avoids(other: Trace, trace: Trace, begin: float) -> bool:
+    """Return whether `other`, which deviates from a recorded trace at time `begin` [s], is a witness."""
+    if other.end not in ("arrived", "timeout", "standstill"):
+        return False
+    if other.end != "arrived" and other.duration < trace.duration + SURVIVED - 1e-6:
+        return False
+    touch = first_line_touch(other)
+    return touch is None or bool(other.time[touch.frame] <= begin)  # an earlier touch is in the recorded trace, too
+
+
+def replay_witness(simulation: Simulation, scenario: Scenario, witness: Witness) -> Trace:
+    """Execute a scenario with the commands of a witness.
+
+    Raises:
+        ValueError: if the environment cannot run in lock-step.
+    """
+    seconds = len(witness.commands) / witness.frequency
+    envs = simulation.vector_env(1, **_config(witness.frequency, seconds))
+    if envs is None:
+        raise ValueError("this environment cannot run in lock-step")
+    actions = as_actions(witness.commands)[None]  # of one ego, shape (1, D, 2)
+    (_, trace), *_ = rollout_all(envs, ScriptedDriver(actions), [scenario])
+    envs.close()
+    return trace
+
+
+def drive(
+    simulation: Simulation, scenario: Scenario, trace: Trace, evasions: Sequence[Evasion], path: Floats
+) -> list[Trace]:
+    """Drive evasions along a path, up to `SURVIVED` after the recorded end.
+
+    Return the trace of each evasion; none if the environment cannot run in lock-step.
+    """
+    rate = frequency(trace)
+    envs = simulation.vector_env(len(evasions), **_config(rate, trace.duration + SURVIVED))
+    if envs is None:
+        return []
+    driver = EvasionDriver(
+        trace, evasions, path, require_scripted(simulation.logical, "An evasion").roadmap.speed_limit
+    )
+    ended = dict(rollout_all(envs, driver, [scenario] * len(evasions)))
+    envs.close()
+    return [ended[row] for row in range(len(evasions))]
+
+
+def _config(rate: int, seconds: float) -> dict[str, Any]:
+    return {
+        "observation": dict(OBSERVATION),
+        "action": dict(ACTION),
+        "policy_frequency": rate,
+        "simulation_frequency": rate,
+        "duration": round(seconds * rate) / rate,
+    }
+
+
+def modeled(trace: Trace, event: ViolationEvent) -> list[Evasion]:
+    """Return the evasions of driver models, the mildest first."""
+    alarm, end = alarm_time(trace, event), float(trace.time[event.frame])
+    earlier = [Evasion(ANTICIPATION, max(end - before, 0.0), -ANTICIPATING) for before in ANTICIPATED]
+    careful = Evasion(CAREFUL, min(alarm + DELAY, end), -CAREFUL_BRAKING, jerk=CAREFUL_JERK)
+    return [careful, Evasion(IDEAL, alarm, -IDEAL_BRAKING), *earlier]
+
+
+def drawn(trace: Trace, rng: np.random.Generator) -> Evasion:
+    """Draw a random evasion: two accelerations in succession and, with probability 1/2, a lateral move."""
+    end = trace.duration
+    return Evasion(
+        SAMPLED,
+        begin=max(end - float(rng.uniform(LATEST, EARLIEST)), 0.0),
+        acceleration=float(rng.uniform(-IDEAL_BRAKING, 3.0)),
+        lasting=float(rng.uniform(0.3, 4.0)),
+        then=float(rng.uniform(-ANTICIPATING, 3.0)),
+        offset=float(rng.uniform(-SIDEWAYS, SIDEWAYS)) if rng.random() < 0.5 else 0.0,
+        swing=float(rng.uniform(1.5, 4.0)),
+    )
+
+
+def alarm_time(trace: Trace, event: ViolationEvent) -> float:
+    """Return when the time to collision, at constant velocities and headings, first fell below `ALARM` [s]."""
+    frames = np.arange(max(event.frame - round(EARLIEST * frequency(trace)), 0), event.frame + 1)
+    pair = [0, event.partner]
+    position, velocity = trace.position[frames][:, pair], trace.velocity[frames][:, pair]
+    ahead = np.arange(0.0, ALARM + 1e-9, 0.1)[:, None, None, None]  # too fine for boxes to pass each other unnoticed
+    boxes = box_corners(position + ahead * velocity, trace.heading[frames][:, pair], trace.size[pair])
+    conflict = boxes_overlap(boxes[:, :, 0], boxes[:, :, 1]).any(0)
+    return float(trace.time[frames[conflict.argmax() if conflict.any() else -1]])
 
 
 def frequency(trace: Trace) -> int:
@@ -93,30 +222,11 @@ def as_actions(commands: Floats) -> Floats:
     return np.asarray(commands / (MAX_ACCELERATION, MAX_STEERING))
 
 
-@dataclass(frozen=True)
-class Evasion:
-    """Driving as recorded up to some time, then braking, accelerating, or moving to the side."""
-
-    name: str  # kind of evasion, for people
-    begin: float  # time up to which the ego drives as recorded [s]
-    acceleration: float  # desired acceleration at first [m/s2]
-    lasting: float = math.inf  # duration of the first acceleration [s]
-    then: float = 0.0  # desired acceleration afterwards [m/s2]
-    jerk: float = math.inf  # limit of the change of the acceleration [m/s3]
-    offset: float = 0.0  # lateral move to the right of the path [m]
-    swing: float = 2.0  # duration of the lateral move [s]
-
-    @property
-    def effort(self) -> float:
-        """Severity of the evasion, lower is milder."""
-        return max(abs(self.acceleration), abs(self.then)) + 2 * abs(self.offset)
-
-
 class EvasionDriver:
     """An ADS that drives the egos of a batch, each with an evasion of its own, in the same scenario.
 
-    Row i of the batch is evasion i. The egos accelerate up to `speed_limit` [m/s]. Their common path begins with the
-    recorded one, as points `SPACING` apart, shape (P, 2) [m].
+    Row i of the batch is evasion i. The egos accelerate up to `speed_limit` [m/s]. Their common `path` begins with
+    that of `trace`; it has points `SPACING` apart, shape (P, 2) [m].
     """
 
     def __init__(self, trace: Trace, evasions: Sequence[Evasion], path: Floats, speed_limit: float) -> None:
@@ -216,112 +326,3 @@ def _spaced(points: Floats) -> Floats:
     moved = np.concatenate([[True], np.diff(way) > 0])
     stations = np.arange(0.0, way[-1], SPACING)
     return np.stack([np.interp(stations, way[moved], points[moved, i]) for i in range(2)], -1)
-
-
-def find_witness(
-    simulation: Simulation, scenario: Scenario, trace: Trace, event: ViolationEvent, rng: np.random.Generator
-) -> tuple[Witness | None, int]:
-    """Search for a witness of a collision: by models of drivers, the mildest first, then by random evasions.
-
-    Return the witness, or None if no evasion avoids the collision; and the number of evasions that were tried, 0 if the
-    environment cannot run in lock-step. The ADS of the simulation is not used.
-    """
-    tried = 0
-    for batch in range(1 + SAMPLES // BATCH):
-        evasions = [drawn(trace, rng) for _ in range(BATCH)] if batch else modeled(trace, event)
-        path = path_beside_route(trace) if batch else path_straight_on(trace)
-        driven = drive(simulation, scenario, trace, evasions, path)
-        tried += len(driven)
-        good = [i for i, other in enumerate(driven) if avoids(other, trace, evasions[i].begin)]
-        if good:
-            best = good[0] if batch == 0 else min(good, key=lambda i: evasions[i].effort)
-            chosen, commands = evasions[best], recorded_commands(driven[best])
-            return Witness(chosen.name, chosen.begin, frequency(trace), commands), tried
-    return None, tried
-
-
-def avoids(other: Trace, trace: Trace, begin: float) -> bool:
-    """Return whether `other`, which deviates from a recorded trace at time `begin` [s], is a witness."""
-    if other.end not in ("arrived", "timeout", "standstill"):
-        return False
-    if other.end != "arrived" and other.duration < trace.duration + SURVIVED - 1e-6:
-        return False
-    touch = first_line_touch(other)
-    return touch is None or bool(other.time[touch.frame] <= begin)  # an earlier touch is in the recorded trace, too
-
-
-def replay_witness(simulation: Simulation, scenario: Scenario, witness: Witness) -> Trace:
-    """Execute a scenario with the commands of a witness.
-
-    Raises:
-        ValueError: if the environment cannot run in lock-step.
-    """
-    seconds = len(witness.commands) / witness.frequency
-    envs = simulation.vector_env(1, **_config(witness.frequency, seconds))
-    if envs is None:
-        raise ValueError("this environment cannot run in lock-step")
-    (_, trace), *_ = rollout_all(envs, ScriptedDriver(as_actions(witness.commands)[None]), [scenario])
-    envs.close()
-    return trace
-
-
-def drive(
-    simulation: Simulation, scenario: Scenario, trace: Trace, evasions: Sequence[Evasion], path: Floats
-) -> list[Trace]:
-    """Drive evasions along a path, up to `SURVIVED` after the recorded end.
-
-    Return the trace of each evasion; none if the environment cannot run in lock-step.
-    """
-    rate = frequency(trace)
-    envs = simulation.vector_env(len(evasions), **_config(rate, trace.duration + SURVIVED))
-    if envs is None:
-        return []
-    driver = EvasionDriver(
-        trace, evasions, path, require_scripted(simulation.logical, "An evasion").roadmap.speed_limit
-    )
-    ended = dict(rollout_all(envs, driver, [scenario] * len(evasions)))
-    envs.close()
-    return [ended[row] for row in range(len(evasions))]
-
-
-def _config(rate: int, seconds: float) -> dict[str, Any]:
-    return {
-        "observation": dict(OBSERVATION),
-        "action": dict(ACTION),
-        "policy_frequency": rate,
-        "simulation_frequency": rate,
-        "duration": round(seconds * rate) / rate,
-    }
-
-
-def modeled(trace: Trace, event: ViolationEvent) -> list[Evasion]:
-    """Return the evasions of driver models, the mildest first."""
-    alarm, end = alarm_time(trace, event), float(trace.time[event.frame])
-    earlier = [Evasion(ANTICIPATION, max(end - before, 0.0), -ANTICIPATING) for before in ANTICIPATED]
-    careful = Evasion(CAREFUL, min(alarm + DELAY, end), -CAREFUL_BRAKING, jerk=CAREFUL_JERK)
-    return [careful, Evasion(IDEAL, alarm, -IDEAL_BRAKING), *earlier]
-
-
-def drawn(trace: Trace, rng: np.random.Generator) -> Evasion:
-    """Draw a random evasion: two accelerations in succession and, with probability 1/2, a lateral move."""
-    end = trace.duration
-    return Evasion(
-        SAMPLED,
-        begin=max(end - float(rng.uniform(LATEST, EARLIEST)), 0.0),
-        acceleration=float(rng.uniform(-IDEAL_BRAKING, 3.0)),
-        lasting=float(rng.uniform(0.3, 4.0)),
-        then=float(rng.uniform(-ANTICIPATING, 3.0)),
-        offset=float(rng.uniform(-SIDEWAYS, SIDEWAYS)) if rng.random() < 0.5 else 0.0,
-        swing=float(rng.uniform(1.5, 4.0)),
-    )
-
-
-def alarm_time(trace: Trace, event: ViolationEvent) -> float:
-    """Return when the time to collision, at constant velocities and headings, first fell below `ALARM` [s]."""
-    frames = np.arange(max(event.frame - round(EARLIEST * frequency(trace)), 0), event.frame + 1)
-    pair = [0, event.partner]
-    position, velocity = trace.position[frames][:, pair], trace.velocity[frames][:, pair]
-    ahead = np.arange(0.0, ALARM + 1e-9, 0.1)[:, None, None, None]  # too fine for boxes to pass each other unnoticed
-    boxes = box_corners(position + ahead * velocity, trace.heading[frames][:, pair], trace.size[pair])
-    conflict = boxes_overlap(boxes[:, :, 0], boxes[:, :, 1]).any(0)
-    return float(trace.time[frames[conflict.argmax() if conflict.any() else -1]])
