@@ -55,7 +55,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class CampaignConfig(Target):
-    """One search method x ADS x environment x seed, with a budget. `Target` has further fields.
+    """One search method x ADS x environment x seed, with a budget. `Target` has the inherited fields.
 
     Attributes:
         method: Search method, or package.module:attribute of your own.

@@ -194,9 +194,7 @@ def line_meets_box(box: Corners, ax: float, ay: float, bx: float, by: float) -> 
     """
     xs, ys = box
     for i in range(3):
-        ex, ey = ay - by, bx - ax
-        if i < 2:
-            ex, ey = xs[i + 1] - xs[i], ys[i + 1] - ys[i]
+        ex, ey = (xs[i + 1] - xs[i], ys[i + 1] - ys[i]) if i < 2 else (ay - by, bx - ax)
         low, high = span(box, ex, ey)
         start, end = ax * ex + ay * ey, bx * ex + by * ey
         if high < min(start, end) or max(start, end) < low:
@@ -213,11 +211,11 @@ def _corners_in(box: Floats) -> Corners:
 @kernel_inner
 def _between_boxes(a: Corners, b: Corners) -> float:
     """Return the distance between two boxes."""
-    least = 0.0
-    if not boxes_touch(a, b):
-        least = math.inf
-        for k in range(4):
-            least = min(least, _to_edges(a[0][k], a[1][k], b), _to_edges(b[0][k], b[1][k], a))
+    if boxes_touch(a, b):
+        return 0.0
+    least = math.inf
+    for k in range(4):
+        least = min(least, _to_edges(a[0][k], a[1][k], b), _to_edges(b[0][k], b[1][k], a))
     return least
 
 

@@ -82,7 +82,7 @@ class Target(Conditions):
 
     env: str = "intersection-straight"
     ads: str = "rule"
-    env_config: Mapping[str, Any] | None = None
+    env_config: Mapping[str, Any] | None = None  # None if it is not known
     activation: Activation | None = None
 
     def __post_init__(self) -> None:
