@@ -39,10 +39,6 @@ from behavexplor.triage.witness import avoids, replay_witness
 
 COLLISION = Collision().name
 
-# Arguments of `make_folder`: the folder of --out, or the run folder and "replays". They are not joined, so that
-# `make_folder` refuses a link in the run folder that leads out of it.
-_FolderParts = tuple[Path] | tuple[Path, str]
-
 
 def replay(
     run: RunFolder,
@@ -69,36 +65,35 @@ def replay(
     with closing(Store.read(run)) as store:
         execution = store.execution(number)
     config = accepted_run(run, Consent(trust, unconfined), DRIVING)
-    folder_parts = (run, "replays") if out is None else (out,)
     if avoided:
-        return _avoid(execution, config, run, folder_parts)
+        return _avoid(execution, config, run, out)
     if (failure := execution.record.error) is not None:
         say(sentence(f"Execution {number}: {ADSError(failure['kind'], failure['message'])}"))
     else:
-        _show(execution, known_road(config.env, run), folder_parts)
+        _show(execution, known_road(config.env, run), run, out)
         say(wrapped("The same episode in a loop of your own; any policy can take the place of env.driver:"))
         say(textwrap.indent(snippet(run, number), "    "))
     return _compare(execution, config, run)
 
 
-def _show(execution: Execution, shape: RoadShape, folder_parts: _FolderParts) -> None:
+def _show(execution: Execution, shape: RoadShape, run: Path, out: Path | None) -> None:
     """Draw an execution, and check that it belongs to the environment of the run."""
     foreign = f"Execution {execution.id} does not belong to the environment of this run"
     if shape.surfaces and len(execution.load_trace().illegal_lines) != len(shape.line_kinds):  # if the road is known
         raise InputError(f"{foreign}: its trace has different illegal lines")
     try:
-        _draw(execution, shape, folder_parts)
+        _draw(execution, shape, run, out)
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{foreign}: in its record, {error} is wrong or missing") from None
 
 
-def _draw(execution: Execution, shape: RoadShape, folder_parts: _FolderParts) -> None:
+def _draw(execution: Execution, shape: RoadShape, run: Path, out: Path | None) -> None:
     """Write the pictures and print a description."""
     footage = footage_of(execution, shape)
     trace = footage.trace
     frame = decisive_frame(trace, execution.record.violated)
     degrees = _degrees_text(execution.record, trace)
-    animation, picture = _save(footage, frame, folder_parts, f"{execution.id:06d}")
+    animation, picture = _save(footage, frame, run, out, f"{execution.id:06d}")
     say(wrapped(f"Execution {execution.id} {footage.caption} after {trace.duration:.2f} s"))
     if footage.decisions:
         say(wrapped(f"The driver's decisions: {_repetitions(name for _, name in footage.decisions)}"))
@@ -122,10 +117,15 @@ def _repetitions(names: Iterable[str]) -> str:
     return ", ".join(name if count == 1 else f"{count} x {name}" for name, count in repeated)
 
 
-def _save(footage: Footage, frame: int, folder_parts: _FolderParts, name: str) -> tuple[Path, Path]:
-    """Write an animation and a picture of one frame, and return their paths."""
-    with writing(f"The folder {Path(*folder_parts)}"):
-        folder = make_folder(*folder_parts)
+def _save(footage: Footage, frame: int, run: Path, out: Path | None, name: str) -> tuple[Path, Path]:
+    """Write an animation and a picture of one frame to `out`, or to the run's folder replays, and return their paths.
+
+    Raises:
+        InputError: if they cannot be written.
+    """
+    with writing(f"The folder {out or run / 'replays'}"):
+        # of a run folder, `make_folder` refuses a link that leads out of it
+        folder = make_folder(run, "replays") if out is None else make_folder(out)
     animation, picture = folder / f"{name}.gif", folder / f"{name}.png"
     with writing(f"The pictures in {folder}"):
         with new_file(picture) as file:
@@ -135,7 +135,7 @@ def _save(footage: Footage, frame: int, folder_parts: _FolderParts, name: str) -
     return animation, picture
 
 
-def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder_parts: _FolderParts) -> int:
+def _avoid(execution: Execution, config: CampaignConfig, run: Path, out: Path | None) -> int:
     """Drive and draw the avoidance of a collision that triage has stored.
 
     Raises:
@@ -153,7 +153,7 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder_parts
     frame = min(len(recorded.time), len(trace.time)) - 1
     caption = f"{witness.name} from {witness.begin:.2f} s on" if isinstance(witness, Witness) else witness.name
     footage = replace(footage_of(execution, known_road(config.env, run)), trace=trace, caption=caption, violated=())
-    animation, picture = _save(footage, frame, folder_parts, f"{execution.id:06d}-avoided")
+    animation, picture = _save(footage, frame, run, out, f"{execution.id:06d}-avoided")
     say(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
     say(f"Animation: {animation}\nAt the time of the collision: {picture}")
     return OK

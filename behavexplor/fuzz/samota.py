@@ -25,9 +25,6 @@ _HELD_OUT = 0.2  # share of the rows that are held out to weight the models
 _FEWEST = 10  # least number of rows at which some are held out
 _LEAST_LENGTH = 0.1  # least length scale of a kernel, for points that are all alike
 _RIDGE = 1e-2  # added to the diagonal of the kernel matrix
-Kernel = Callable[[Floats, Floats, float], Floats]
-PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of candidates
-_MOST_SKIPPED: Final = 100  # proposals in a row that were executed already, after which one is redrawn
 
 
 def _polynomial(squared: Floats, products: Floats, length: float) -> Floats:  # noqa: ARG001 - a kernel's signature
@@ -43,13 +40,14 @@ def _matern(squared: Floats, products: Floats, length: float) -> Floats:  # noqa
     return np.asarray((1 + scaled) * np.exp(-scaled))
 
 
+Kernel = Callable[[Floats, Floats, float], Floats]  # from squared distances, products and a length scale
 POLYNOMIAL, RBF, GAUSSIAN_PROCESS = _polynomial, _gaussian, _matern
 KERNELS: tuple[Kernel, ...] = (POLYNOMIAL, RBF, GAUSSIAN_PROCESS)
 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Several models of k objectives, fitted to the same n points: SAMOTA's surrogates, which replace executions.
+    """Several models of k objectives, fitted to the same n points, which predict them without an execution.
 
     Points are `Encoding.features`, which have one scale by construction. All models are kernel machines, which
     scikit-learn fits. Their predictions, a kernel times coefficients, are computed here for all models at once:
@@ -173,6 +171,10 @@ def crowding_distances(values: Floats) -> Floats:
         if span > 0:
             distances[order[1:-1]] += (column[order[2:]] - column[order[:-2]]) / span
     return distances
+
+
+PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of candidates
+_MOST_SKIPPED: Final = 100  # proposals in a row that were executed already, after which one is redrawn
 
 
 @validated
