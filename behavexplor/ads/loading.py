@@ -230,7 +230,7 @@ class FunctionDriver:
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Array, Any]:
         """Choose the action of the only ego; see `behavexplor.ads.interface.ADS`."""
-        action = self._function(mapped(_first, observation))
+        action = self._function(mapped(lambda rows: rows[0], observation))
         return _row(action), state
 
 
@@ -242,11 +242,6 @@ def _row(action: Any) -> Array:
         kept = np.empty(1, dtype=object)
         kept[0] = action
         return kept
-
-
-def _first(rows: Array) -> Array:
-    first: Array = rows[0]
-    return first
 
 
 def takes_one_observation(function: Callable[..., Any]) -> bool:

@@ -49,16 +49,12 @@ def observed(progress: bool | Observer | None, budget: Budget) -> Iterator[Obser
     if callable(progress):
         yield progress
     elif progress is False or (progress is None and not in_notebook()):
-        yield _nothing
+        yield lambda _: None
     elif in_notebook():
         yield _notebook_line(budget)
     else:
         with _bar(budget) as show:
             yield show
-
-
-def _nothing(_: Progress) -> None:
-    """Show nothing."""
 
 
 def progress_words(progress: Progress) -> str:

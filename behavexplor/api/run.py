@@ -30,7 +30,6 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import simulation_of
-from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import EpisodeDriver
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import fewest_workers, start_executor
@@ -270,7 +269,8 @@ class Run:
         Raises:
             InputError: if there is no execution of that number, or the driver cannot be loaded.
         """
-        with self._executor() as executor:
+        target = self._accepted().target
+        with start_executor(target, fewest_workers(target), driver=self._given.driver) as executor:
             return repeat_execution(executor, self._execution(number))
 
     def triage(self, *, workers: int | None = None, afresh: bool = False) -> Triage:
@@ -371,10 +371,6 @@ class Run:
     def _execution(self, number: int) -> Execution:
         with closing(Store.read(self.folder)) as store:
             return store.execution(int(number))  # numbers from a DataFrame are numpy's
-
-    def _executor(self) -> Executor:
-        target = self._accepted().target
-        return start_executor(target, fewest_workers(target), driver=self._given.driver)
 
     def __len__(self) -> int:
         with closing(Store.read(self.folder)) as store:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import Estimate, estimate
@@ -146,7 +145,12 @@ def table_csv(table: Table) -> str:
     head = []
     for column, is_estimate in zip(table.columns, estimates, strict=True):
         head += [f"{column.name} {part}" for part in ("mean", "low", "high", "n")] if is_estimate else [column.name]
-    rows = [list(chain.from_iterable(map(_plain, row))) for row in table.rows]
+    rows = []
+    for row in table.rows:
+        cells: list[object] = []
+        for value in row:
+            cells += _plain(value)
+        rows.append(cells)
     return csv_text([head, *rows])
 
 

@@ -198,6 +198,12 @@ def program() -> str:
     return called if not called.endswith(".py") else "python -m behavexplor"
 
 
+def execution_failed(said: str) -> int:
+    """Say why an execution could not be carried out, and return the exit code."""
+    say(f"{program()}: {sentence(said)}", file=sys.stderr)
+    return EXECUTION_FAILED
+
+
 @contextmanager
 def folder_for_matplotlib() -> Iterator[None]:
     """Give matplotlib, which highway-env imports, a temporary folder if HOME cannot be written; it warns otherwise."""

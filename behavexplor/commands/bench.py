@@ -67,7 +67,8 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     """
     chosen = read_experiment(experiment)
     if not tables_only:
-        _check_consent(chosen, trust, experiment, unconfined=unconfined)
+        given = {"trust": trust, "unconfined": unconfined}
+        check_said_twice({"trust": chosen.trust, "unconfined": chosen.unconfined}, given, experiment)
     trusted = tuple(dict.fromkeys((*chosen.trust, *trust)))  # each digest once
     chosen = replace(chosen, trust=trusted, unconfined=unconfined or chosen.unconfined)
     jobs = _checked_jobs(jobs, cluster)
@@ -91,12 +92,6 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     if summaries:
         say(f"Report: {root / PAGE}")
     return code
-
-
-def _check_consent(chosen: Experiment, trust: tuple[str, ...], file: str, *, unconfined: bool) -> None:
-    """Check that the flags repeat what the experiment's file trusts and allows: the file alone does not count."""
-    given = {"trust": trust, "unconfined": unconfined}
-    check_said_twice({"trust": chosen.trust, "unconfined": chosen.unconfined}, given, file)
 
 
 def _checked_jobs(jobs: int | None, cluster: str) -> int:

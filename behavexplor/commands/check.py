@@ -8,11 +8,10 @@ from typing import Annotated, Any
 
 import tyro
 
-from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
+from behavexplor.commands import CHECK_FAILED, OK, execution_failed
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.shared_flags import GivenActivation, HowToRun, Switch, patience
 from behavexplor.commands.wording import hanging, say
-from behavexplor.errors import sentence
 from behavexplor.repair.cases import Suite
 from behavexplor.repair.checking import CheckedCase, opened_driver
 
@@ -47,8 +46,7 @@ def check(
         with waiting, opened_driver(suite, ads, count, running.trust, **settings) as drive:
             outcomes = list(drive.all_of(suite.cases))
     except RuntimeError as error:
-        say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
-        return EXECUTION_FAILED
+        return execution_failed(f"A scenario could not be executed: {error}")
     seconds = time.monotonic() - begun
     failed = sum(not outcome.passed for outcome in outcomes)
     if not running.quiet:

@@ -16,7 +16,7 @@ from behavexplor.ads.sb3.description import named_env
 from behavexplor.bench.statistics import holm
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped_folder
-from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
+from behavexplor.commands import CHECK_FAILED, OK, UNDECIDED, execution_failed, program
 from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
@@ -24,7 +24,7 @@ from behavexplor.commands.plain_tables import grid, plain_text
 from behavexplor.commands.shared_flags import Switch, chosen_workers, flag, patience
 from behavexplor.commands.wording import say, wrapped
 from behavexplor.data.durable import write_durably, writing
-from behavexplor.errors import InputError, sentence
+from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import GIVEN
 from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
 from behavexplor.repair import pair_campaigns
@@ -98,8 +98,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         if search and searched(searching, other, folder / SEARCH, count, output, quiet=quiet):
             _write(folder, pairs, [folder, folder / SEARCH])
     except (ExecutionError, RuntimeError) as error:
-        say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
-        return EXECUTION_FAILED
+        return execution_failed(str(error))
     say(f"Page: {folder / pair_campaigns.PAGE}", file=output)
     run = shlex.quote(str(folder / pair_campaigns.FIRST))
     say(f"Replay a scenario that only one of them fails:\n{program()} replay {run} ID", file=output)

@@ -22,7 +22,7 @@ from behavexplor.api.rate_folder import CARD, CLAUSE, MOST_STORED, RateFolder
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.campaign.folder_format import CONFIG
-from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
+from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, execution_failed, program
 from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.outputs import CaseResult, JsonFile, JUnitFile, check_outputs, write_json, write_junit
@@ -32,7 +32,7 @@ from behavexplor.commands.wording import counted, say, wrapped
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.scenario import LogicalScenario
 from behavexplor.data.target import Target
-from behavexplor.errors import InputError, sentence
+from behavexplor.errors import InputError
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.evaluator import DRAWS
 from behavexplor.execution.start import check_ads, logical_of_target
@@ -127,8 +127,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         found = _evaluations(config, run, controls=controls)
     except (RuntimeError, ExecutionError) as error:
         said = str(error) if isinstance(error, ExecutionError) else f"A scenario could not be executed: {error}"
-        say(f"{program()}: {sentence(said)}", file=sys.stderr)
-        return EXECUTION_FAILED
+        return execution_failed(said)
     _say_rates(config, found, folder, output)
     write_json(json_file, _values(config, found))
     own = next(iter(found.values()))

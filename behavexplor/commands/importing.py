@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from behavexplor.campaign.judgment import ads_failure, judgment
-from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands import OK, execution_failed
 from behavexplor.commands.outputs import write_json
 from behavexplor.commands.roads import check_libraries, road_of
 from behavexplor.commands.shared_flags import GivenActivation, Switch
@@ -118,8 +118,7 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
             say(f"Class: {ERROR}/{error.kind}")
             return OK
         except RuntimeError as error:
-            say(f"{program()}: {sentence(f'The scenario could not be executed: {error}')}", file=sys.stderr)
-            return EXECUTION_FAILED
+            return execution_failed(f"The scenario could not be executed: {error}")
     how = outcome(result.violated, result.end)
     say(wrapped(f"{logical.describe(scenario)}: {how} after {result.duration:.2f} s"))
     if result.violation_class is not None:

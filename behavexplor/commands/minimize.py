@@ -7,12 +7,12 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands import OK, execution_failed
 from behavexplor.commands.display import Meter
 from behavexplor.commands.plain_tables import grid, plain_text
 from behavexplor.commands.shared_flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.wording import counted, hanging, say, wrapped
-from behavexplor.errors import InputError, sentence
+from behavexplor.errors import InputError
 from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Minimized, fault_words
 from behavexplor.triage.minimization import LIMIT, RunMinimization
@@ -52,8 +52,7 @@ def minimize(
         with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
             found = work.minimize(meter.show)
     except RuntimeError as error:
-        say(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
-        return EXECUTION_FAILED
+        return execution_failed(f"A failure could not be minimized: {error}")
     say(table(found))
     return OK
 

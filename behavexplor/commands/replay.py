@@ -20,7 +20,7 @@ from behavexplor.campaign.record import Record
 from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
+from behavexplor.commands import CHECK_FAILED, OK, execution_failed, program
 from behavexplor.commands.shared_flags import RunFolder, Switch, Trust, flag
 from behavexplor.commands.wording import hanging, say, wrapped
 from behavexplor.data.durable import make_folder, new_file, writing
@@ -204,8 +204,7 @@ def _compare(execution: Execution, config: CampaignConfig, run: Path) -> int:
                 with suppress(OSError):  # it may be someone else's folder, and not writable
                     keep(run, execution.id, tried)
     except RuntimeError as error:
-        say(f"{program()}: {sentence(f'The execution could not be repeated: {error}')}", file=sys.stderr)
-        return EXECUTION_FAILED
+        return execution_failed(f"The execution could not be repeated: {error}")
     if tried is not None:
         say(wrapped(tried.said_of(execution.id)), file=sys.stdout if tried.state == "confirmed" else sys.stderr)
     say(wrapped(repetition.words), file=sys.stdout if repetition.reproduced else sys.stderr)

@@ -12,7 +12,7 @@ from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import RUNS, CampaignConfig
 from behavexplor.campaign.provenance import Consent, agreed, own_digests, remember
-from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, execution_failed, program
 from behavexplor.commands.config_flags import Shown, settings
 from behavexplor.commands.display import Meter
 from behavexplor.commands.plain_tables import grid, plain_text
@@ -98,8 +98,7 @@ def _run(config: RetrainingConfig, folder: Path, *, quiet: bool) -> int:
         say(f"Interrupted; resume with: {program()} retrain --resume {shlex.quote(str(folder))}", file=sys.stderr)
         return INTERRUPTED
     except ExecutionError as error:
-        say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
-        return EXECUTION_FAILED
+        return execution_failed(str(error))
     except DivergedError as error:
         say(f"{program()}: {sentence(str(error))}\nThe best policy until then is in {name}.", file=sys.stderr)
         return EXECUTION_FAILED

@@ -5,7 +5,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any, Final
 
-from behavexplor.data.drawn_scenario import DrawnScenario, Setup
+from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.road_plan import RoadPlan, plan_of_map
 from behavexplor.data.scenario import LogicalScenario, Scenario
 from behavexplor.envs.making import make_env, make_recorded
@@ -13,6 +13,7 @@ from behavexplor.errors import missing_library
 from behavexplor.execution.simulation import logical_of
 
 LIBRARIES: Final = ("lxml", "scenariogeneration")  # of the extra `scenes`
+_highway_env = lru_cache(maxsize=1)(make_recorded)  # an environment takes longer to make than a scene to write
 
 
 def check_libraries() -> None:
@@ -24,12 +25,6 @@ def check_libraries() -> None:
     for library in LIBRARIES:
         if find_spec(library) is None:
             raise missing_library("The exchange of scenes", library, "scenes")
-
-
-@lru_cache(maxsize=1)
-def _highway_env(setup: Setup) -> Any:
-    """Return a highway-env environment, which takes longer to make than a scene to write."""
-    return make_recorded(setup)
 
 
 def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) -> tuple[RoadPlan, LogicalScenario]:

@@ -11,11 +11,11 @@ import tyro
 
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
-from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands import OK, execution_failed, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.shared_flags import HowToRun, NewFolder, Running
 from behavexplor.commands.wording import counted, say
-from behavexplor.errors import InputError, sentence
+from behavexplor.errors import InputError
 from behavexplor.repair.cases import TEST, Case, Suite, candidates, case_of, check_free, check_same_driving
 from behavexplor.triage.findings import known_findings
 from behavexplor.triage.minimization import RunMinimization
@@ -50,8 +50,7 @@ def suite(
             for case in _cases(run, config, cases, running):
                 cases.setdefault(case.class_id, case)
     except RuntimeError as error:
-        say(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
-        return EXECUTION_FAILED
+        return execution_failed(f"A failure could not be minimized: {error}")
     if not cases:
         raise InputError("Apart from errors, no failure is reproducible and at fault, so there is nothing to check")
     first = configs[0][1]

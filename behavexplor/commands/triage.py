@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from behavexplor.campaign.confirmation import not_confirmed, read_confirmations
-from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands import OK, execution_failed, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.plain_tables import grid, plain_text
 from behavexplor.commands.shared_flags import HowToRun, RunFolder, Switch
 from behavexplor.commands.wording import counted, hanging, say, wrapped
-from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Finding, Sighting, Triage, fault_words, tally
 from behavexplor.triage.run_triage import RunTriage
@@ -38,8 +37,7 @@ def triage(run: RunFolder, *, running: HowToRun, afresh: Switch = False) -> int:
         with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
             found = work.examine(meter.show)
     except RuntimeError as error:
-        say(f"{program()}: {sentence(f'A failure could not be examined or confirmed: {error}')}", file=sys.stderr)
-        return EXECUTION_FAILED
+        return execution_failed(f"A failure could not be examined or confirmed: {error}")
     unconfirmed = [wrapped(line) for line in not_confirmed(read_confirmations(run))]
     say("\n".join([report(found), *unconfirmed]))
     preventable = next((finding for finding in found.findings if finding.avoidance), None)

@@ -39,7 +39,9 @@ def zip(  # noqa: A001 - the command's name
         if file.exists():
             raise InputError(f"{file} is there already, and is kept: name another file for --out")
     network = read_network(path)
-    trained_in = env or _env_of(path)
+    trained_in = env or env_in_card(path)
+    if trained_in is None:
+        raise InputError(f"No file beside {path} says in which functional scenario it was trained: give --env")
     try:
         from behavexplor.training import write_model  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:
@@ -48,11 +50,3 @@ def zip(  # noqa: A001 - the command's name
     command = f"{program()} fuzz --env {shlex.quote(trained_in)} --ads {shlex.quote(str(out))}"
     say(f"The model is in {out}\nIt drives as {policy}:\n{command}")
     return OK
-
-
-def _env_of(path: Path) -> str:
-    """Return the functional scenario in the card beside a network; an `InputError` if none can be read there."""
-    env = env_in_card(path)
-    if env is None:
-        raise InputError(f"No file beside {path} says in which functional scenario it was trained: give --env")
-    return env

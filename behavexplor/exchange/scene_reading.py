@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from behavexplor.data.array_types import Floats
-from behavexplor.data.scenario import Scenario, parse_scenario
+from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError, brief
 from behavexplor.exchange import axes, scenes
@@ -104,7 +104,7 @@ def read_scene(path: Path) -> SceneFile:
     """
     root = _parsed(path)
     facts = _properties(root.find("FileHeader"))
-    scenario = _scenario(facts)
+    scenario = parse_scenario(facts[scenes.SCENARIO]) if scenes.SCENARIO in facts else None
     if scenario is not None and scenes.ENV_CONFIG in facts and _config(facts[scenes.ENV_CONFIG]):
         raise InputError(f"The property {scenes.ENV_CONFIG} cannot be given: {scenes.SCENARIO} has the configuration")
     n_vehicles = int(facts[scenes.VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(scenes.VEHICLES, "")) else 0
@@ -116,11 +116,12 @@ def read_scene(path: Path) -> SceneFile:
     movers = tuple(_mover(entity, motions[entity.get("name")]) for entity in root.iterfind("Entities/ScenarioObject"))
     if not movers or movers[0].name != EGO:
         raise InputError(f"{path}: its first entity must be the vehicle named {EGO}")
+    road = root.find("RoadNetwork/LogicFile")
     return SceneFile(
         title=root.find("FileHeader").get("description", ""),
         environment=facts[scenes.ENVIRONMENT],
         env_config=_config(facts.get(scenes.ENV_CONFIG, "{}")),
-        road_file=_road_file(root),
+        road_file="" if road is None else road.get("filepath", ""),
         movers=movers,
         is_ego_free=len(movers[0].time) == 1,
         scenario=scenario,
@@ -213,15 +214,6 @@ def _config(text: str) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise InputError(f"The property {scenes.ENV_CONFIG} must be an object in JSON, got {brief(values)}")
     return values
-
-
-def _scenario(facts: dict[str, str]) -> Scenario | None:
-    return parse_scenario(facts[scenes.SCENARIO]) if scenes.SCENARIO in facts else None
-
-
-def _road_file(root: Element) -> str:
-    file = root.find("RoadNetwork/LogicFile")
-    return "" if file is None else str(file.get("filepath", ""))
 
 
 class _Motion:

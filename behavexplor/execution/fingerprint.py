@@ -6,7 +6,6 @@ import platform
 import socket
 import sys
 from collections.abc import Iterable
-from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
@@ -49,8 +48,10 @@ def library_versions() -> dict[str, str]:
     """Return the versions of the installed libraries that compute results, by name."""
     versions = {}
     for name in _LIBRARIES.values():
-        with suppress(PackageNotFoundError):
+        try:
             versions[name] = version(name)
+        except PackageNotFoundError:
+            continue
     return versions
 
 

@@ -186,7 +186,7 @@ class EpisodeDriver:
 
     def __call__(self, observation: Observation) -> Any:
         """Return the action after an observation; `ADSError` if the ADS gives none that is valid."""
-        batch = mapped(_batch_of_one, observation)
+        batch = mapped(lambda array: np.asarray(array)[None], observation)
         actions, self.state = ask(self._ads, batch, self.state, self._start, self._space)
         self._start = np.zeros(1, dtype=bool)
         return actions[0]
@@ -196,10 +196,6 @@ def _begin(ads: Any, row: int, scenario: Scenario | None) -> None:
     """Begin the random numbers of an episode, if the ADS draws its actions."""
     if isinstance(ads, DrawnActions) and scenario is not None:
         ads.begin(row, scenario)
-
-
-def _batch_of_one(array: Any) -> NDArray[Any]:
-    return np.asarray(array)[None]
 
 
 class LockStep:

@@ -147,7 +147,10 @@ class Suite:
         cases = [checked(Case, read_yaml(path), str(path)) for path in paths]
         suite = checked(cls, values, str(folder / SUITE))
         for path, case in zip(paths, cases, strict=True):
-            _check(path, case)
+            try:
+                case.load_scenario()
+            except InputError as error:
+                raise InputError(f"{path}: scenario: {error}") from None
         driver = folder / suite.driver
         return replace(suite, driver=str(driver) if driver.exists() else suite.driver, cases=tuple(cases))
 
@@ -211,14 +214,6 @@ def check_free(folder: Path) -> None:
             raise InputError(f"{folder} is not empty: choose another folder for the suite")
     except OSError as error:
         raise InputError(f"{folder} cannot be used: {error.strerror}") from None
-
-
-def _check(path: Path, case: Case) -> None:
-    """Check what the fields of a case say, but for the names in `holds`."""
-    try:
-        case.load_scenario()
-    except InputError as error:
-        raise InputError(f"{path}: scenario: {error}") from None
 
 
 def _case_text(case: Case) -> str:

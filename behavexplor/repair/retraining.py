@@ -194,7 +194,8 @@ def retrain(
     with closing(trainee.venv):
         rounds = finished_rounds(folder)
         logical = trainee.scenarios.logical
-        pool = Pool(logical, config.share, _pool_of(folder, rounds, logical))
+        stored = read_scenarios(folder / "rounds" / f"round-{rounds[-1].number:04d}.jsonl", logical) if rounds else []
+        pool = Pool(logical, config.share, stored)
         trainee.scenarios.sampler = pool.sample
         work = _Work(config, folder, trainee, pool)
         if rounds:
@@ -300,7 +301,3 @@ def validation_outcomes(target: Target, count: int) -> list[Outcomes]:
     """Drive the scenarios of the validation, which are the same for all policies, and return their outcomes."""
     with start_judge(target, 0) as executor:
         return list(uniform_outcomes(executor, logical_of_target(executor, target.env), count, VALIDATION_SEED))
-
-
-def _pool_of(folder: Path, rounds: list[Round], logical: LogicalScenario) -> list[Scenario]:
-    return read_scenarios(folder / "rounds" / f"round-{rounds[-1].number:04d}.jsonl", logical) if rounds else []

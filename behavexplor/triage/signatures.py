@@ -95,16 +95,12 @@ def _changed_suddenly(trace: Trace, event: ViolationEvent) -> bool:
     return bool((np.abs(np.diff(speed) / np.diff(trace.time[frames])) > SUDDEN).any())
 
 
-def _slow(trace: Trace, event: ViolationEvent) -> bool:
-    return speed_of(trace, event.frame, 0) < STANDING_SPEED
-
-
 def _passed(trace: Trace, event: ViolationEvent) -> bool:  # noqa: ARG001 - a rule
     return trace.end == "passed"
 
 
 def _ended_standing(trace: Trace, event: ViolationEvent) -> bool:
-    return trace.end != "passed" and _slow(trace, event)
+    return trace.end != "passed" and speed_of(trace, event.frame, 0) < STANDING_SPEED
 
 
 def _always(trace: Trace, event: ViolationEvent) -> bool:  # noqa: ARG001 - a rule

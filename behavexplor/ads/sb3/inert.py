@@ -186,9 +186,6 @@ class _Machine:
         else:
             self.since_mark()
 
-    def duplicate(self, _: Any) -> None:
-        self.stack.append(self.stack[-1])
-
     def collect(self, make: Callable[[list[Any]], Any]) -> None:
         values = self.since_mark()  # before `self.stack` is looked up, which this replaces
         self.stack.append(make(values))
@@ -285,7 +282,7 @@ _INSTRUCTIONS: Final[Mapping[str, Callable[[_Machine, Any], None]]] = MappingPro
         "MARK": _Machine.mark,
         "POP": _Machine.pop,
         "POP_MARK": lambda machine, _: machine.since_mark().clear(),
-        "DUP": _Machine.duplicate,
+        "DUP": lambda machine, _: machine.stack.append(machine.stack[-1]),
         "EMPTY_LIST": lambda machine, _: machine.stack.append([]),
         "EMPTY_DICT": lambda machine, _: machine.stack.append({}),
         "EMPTY_SET": lambda machine, _: machine.stack.append(Inert("builtins.set")),

@@ -17,9 +17,10 @@ from stable_baselines3.common.preprocessing import is_image_space
 from behavexplor.ads.learned.network_file import DIVERGED
 from behavexplor.ads.sb3.archive import Archive, read_archive
 from behavexplor.ads.sb3.arrays import as_arrays
-from behavexplor.ads.sb3.blocks import BlockwiseNetwork, noise_of
+from behavexplor.ads.sb3.blocks import BlockwiseNetwork
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
+from behavexplor.ads.sb3.drawn_actions import noise_of
 from behavexplor.ads.sb3.normalization import Moments, Statistics
 from behavexplor.data.array_types import Array, Bools, Floats
 from behavexplor.data.observations import Observation, mapped

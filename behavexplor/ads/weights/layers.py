@@ -110,7 +110,7 @@ def networks_in(file: TensorFile) -> list[ActingNetwork]:
     names = list(file.arrays) if file.in_order else sorted(file.arrays, key=_natural)
     layers = [layer for name in names if (layer := _layer(name, file.arrays)) is not None]
     online = [layer for layer in layers if _role(layer.name) != TARGET] or layers
-    stored = {name: array for name, array in file.arrays.items() if _is_log_std(name)}
+    stored = {name: array for name, array in file.arrays.items() if re.search(r"log_?std$", name.lower())}
     acting = [layer for layer in online if _role(layer.name) != VALUE]
     if len(online) > 10 * MOST_LAYERS or any(layer.kind not in (DENSE, CONVOLUTION) for layer in acting):
         return []
@@ -226,10 +226,6 @@ def _widths(layers: Sequence[Layer]) -> str:
 def _role(name: str) -> str | None:
     """Return what a layer is for, by its name; None for a layer that may be for anything."""
     return next((role for role, pattern in _ROLES.items() if pattern.search(name.lower())), None)
-
-
-def _is_log_std(name: str) -> bool:
-    return bool(re.search(r"log_?std$", name.lower()))
 
 
 def _common(layers: Iterable[Layer]) -> str:

@@ -165,16 +165,13 @@ def are_alike(one: SlotState, other: SlotState) -> bool:
     if one.vehicles.shape != other.vehicles.shape:
         return False
     pairs = ((one.episode, other.episode), (one.vehicles, other.vehicles), (one.traits, other.traits))
-    return all(_are_close(a, b) for a, b in pairs) and _have_same_routes(one, other)
+    have_same_routes = all(_rest(one, i) == _rest(other, i) for i in range(len(one.vehicles)))
+    return have_same_routes and all(_are_close(a, b) for a, b in pairs)
 
 
 def _are_close(one: Records, other: Records) -> bool:
     names = [name for name in one.dtype.names or () if name not in _NOT_COMPARED]
     return all(np.allclose(one[name], other[name], rtol=0.0, atol=_PRECISION) for name in names)
-
-
-def _have_same_routes(one: SlotState, other: SlotState) -> bool:
-    return all(_rest(one, i) == _rest(other, i) for i in range(len(one.vehicles)))
 
 
 def _rest(state: SlotState, i: int) -> list[tuple[int, int]] | None:

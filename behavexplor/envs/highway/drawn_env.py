@@ -1,7 +1,7 @@
 """A highway-env environment whose episodes are given by its own random draws."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Final
 
 import gymnasium
@@ -262,15 +262,10 @@ class Layout:
         names = {*self._kinds}
         for name in self._kinds:
             caller, _, function = name.rpartition("/")
-            names |= {f"{other}/{function}" for other in self._callers(caller)} if "#" not in function else set()
+            if "#" not in function:
+                alike = _COUNT.sub("", caller)
+                names |= {f"{other}/{function}" for other in self._kinds if _COUNT.sub("", other) == alike}
         return {name: longest.get(_COUNT.sub("", name), [UNIFORM]) for name in names}
-
-    def _callers(self, caller: str) -> Iterator[str]:
-        """Yield all calls of the function of a caller."""
-        function = _COUNT.sub("", caller)
-        for name in self._kinds:
-            if _COUNT.sub("", name) == function:
-                yield name
 
     def _label(self, name: str, position: int) -> tuple[str, int]:
         """Return what the draws of a block have in common: the repeated call, or the number of the next vehicle."""

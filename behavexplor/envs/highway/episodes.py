@@ -213,8 +213,10 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chos
             rewards[name] = numbers[FIRST_TERM + k]
         elif wanted is int:
             rewards[name] = numbers[FIRST_TERM + k].astype(int)
+        elif wanted is bool:
+            rewards[name] = flags[FIRST_FLAG + k]
         else:
-            rewards[name] = _flag(flags[FIRST_FLAG + k], wanted, others)
+            rewards[name] = _without(flags[FIRST_FLAG + k].astype(object), others)
         rewards[mask_name] = chosen
     infos: dict[str, Any] = {
         "speed": numbers[SPEED],
@@ -230,18 +232,11 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: Array, chos
         ended = flags[CRASHED] | flags[FIRST_FLAG + kind.position(kind.arrival)]
         infos |= {"agents_rewards": _tuples(numbers[REWARD], others), "_agents_rewards": chosen}
         infos |= {"agents_terminated": _tuples(ended, others), "_agents_terminated": chosen}
-    if kind.success is not None:
-        infos |= _success(flags[FIRST_FLAG + kind.position(kind.success)], flags[STEPPED] & chosen)
+    stepped = flags[STEPPED] & chosen
+    if kind.success is not None and np.count_nonzero(stepped):  # highway-env has it after a decision, not after a reset
+        is_success = flags[FIRST_FLAG + kind.position(kind.success)]
+        infos |= {"is_success": is_success & stepped, "_is_success": stepped}
     return infos
-
-
-def _success(is_success: Bools, stepped: Bools) -> dict[str, Any]:
-    """Return the info that highway-env's exit environment gives after a decision, but not after a reset."""
-    return {"is_success": is_success & stepped, "_is_success": stepped} if np.count_nonzero(stepped) else {}
-
-
-def _flag(values: Bools, wanted: type, others: Bools | None) -> Array:
-    return values if wanted is bool else _without(values.astype(object), others)
 
 
 def _tuples(values: Array, others: Bools | None) -> NDArray[np.object_]:

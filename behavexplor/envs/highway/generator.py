@@ -118,7 +118,7 @@ class DrawnGenerator(np.random.Generator):
         if not replace and count > 1:
             if p is not None:
                 raise _unknown("choice with `p` and without replacement")
-            chosen = self._without_replacement(n, count, shuffle=shuffle)
+            chosen = self._picks(n, count, lambda source: source.choice(n, count, replace=False, shuffle=shuffle))
         elif p is not None:
             chosen = self._weighted(np.asarray(p, dtype=np.float64), count)
         else:
@@ -194,10 +194,6 @@ class DrawnGenerator(np.random.Generator):
 
         forms = self._draw(UNIFORM, count, native)
         return np.minimum(np.searchsorted(upper, forms, side="right"), len(p) - 1)
-
-    def _without_replacement(self, n: int, count: int, *, shuffle: bool) -> Ints:
-        """Return different choices among n, shape (count,)."""
-        return self._picks(n, count, lambda source: source.choice(n, count, replace=False, shuffle=shuffle))
 
     def _order(self, n: int, dimensions: int) -> Ints:
         """Return the order of n shuffled rows, shape (n,). The number of dimensions decides how numpy shuffles."""

@@ -1,7 +1,7 @@
 """highway-env's own environments as compiled vector environments."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -122,7 +122,8 @@ class HighwayVectorEnv(LockStepVectorEnv):
         self._sampled = self._sampled_space.sample()  # actions that infos show after a reset
         self._taken = self._sampled  # latest actions
         self._is_seeded = np.zeros(num_envs, dtype=bool)
-        self._advance_slots = self._compile()
+        state = (self._engine, self._slots, self._scratch, self._results)  # the kernel is compiled for their types
+        self._advance_slots = compiled_for(advance, *state, self._everywhere, self._actions, DECISION, False)
 
     def _make_arrays(self, num_envs: int, *, log_frames: bool) -> None:
         """Create the arrays that the kernels read and fill."""
@@ -229,11 +230,6 @@ class HighwayVectorEnv(LockStepVectorEnv):
         for b, observation in seen.items():
             self._observations[b] = observation
         self._sampled = actions
-
-    def _compile(self) -> Callable[..., int]:
-        """Compile the kernel for the types of this environment's arrays, or read it from the cache."""
-        state = (self._engine, self._slots, self._scratch, self._results)
-        return compiled_for(advance, *state, self._everywhere, self._actions, DECISION, False)
 
     def _advance(self, stage: int, mask: Bools, actions: Array, *, logs_start: bool = False) -> int:
         """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended."""

@@ -4,7 +4,6 @@ from types import MappingProxyType
 
 import numpy as np
 from highway_env.envs.exit_env import ExitEnv
-from highway_env.road.road import LaneIndex
 
 from behavexplor.data.array_types import Floats
 from behavexplor.envs.engine.pcg64 import Words, weighted
@@ -15,10 +14,6 @@ from behavexplor.envs.tasks.reward_terms import CRASHED, GOAL_LANE, SPEED, TARGE
 from behavexplor.envs.tasks.task import Config, Task, TaskKind
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_inner
-
-
-def _is_goal(index: LaneIndex, config: Config) -> bool:
-    return index in (("1", "2", config["lanes_count"]), ("2", "exit", 0))
 
 
 def _lane_shares(config: Config) -> Floats:
@@ -48,7 +43,7 @@ KIND = TaskKind(
     is_clipped=True,
     has_exit=True,
     success="goal_reward",
-    is_goal=_is_goal,
+    is_goal=lambda index, config: index in (("1", "2", config["lanes_count"]), ("2", "exit", 0)),
     start_lanes=lambda _: (("0", "1", 0),),
     destinations=("3",),
     start_numbers=_lane_shares,
