@@ -10,6 +10,7 @@ import logging
 import os
 import re
 import shutil
+import signal
 import stat
 import sys
 import tempfile
@@ -18,7 +19,7 @@ from contextlib import suppress
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
-from threading import Lock
+from threading import Lock, current_thread, main_thread
 from types import SimpleNamespace
 from typing import Any, Final, Self, TypeVar, cast
 
@@ -189,20 +190,53 @@ def _compiled_again(module: str, name: str, types: tuple[Any, ...]) -> _MachineC
     return _MachineCode(getattr(import_module(module), name), types)
 
 
+class _Interrupts:
+    """Puts off Ctrl-C while the main thread compiles: LLVM's callbacks, in which it may come, would lose it."""
+
+    def __init__(self) -> None:
+        self._compilations = 0  # number of those of the main thread that have not ended
+        self._has_come = False
+
+    def put_off(self) -> None:
+        """Put it off until the compilation that begins has ended."""
+        if current_thread() is not main_thread():
+            return
+        if self._compilations == 0 and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self._keep)
+        self._compilations += 1
+
+    def _keep(self, _number: int, _frame: object) -> None:
+        self._has_come = True
+
+    def raise_if_any(self) -> None:
+        """Raise a KeyboardInterrupt if Ctrl-C has come, and the outermost compilation has ended."""
+        if current_thread() is not main_thread():
+            return
+        self._compilations -= 1
+        if self._compilations > 0 or signal.getsignal(signal.SIGINT) != self._keep:
+            return
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if self._has_come:
+            self._has_come = False
+            raise KeyboardInterrupt
+
+
 class _Compilation(event.Listener):
     """Reports, once in each process, that kernels of this package are being compiled, and puts off garbage collection.
 
     The report is a log message of level WARNING, so that it shows without any logging configuration. Collections took
-    a tenth of the time of compiling. Without them it uses up to 150 MB more.
+    a tenth of the time of compiling. Without them it uses up to 150 MB more. Ctrl-C is put off, too.
     """
 
     def __init__(self) -> None:
         self._is_said = False
         self._collected: list[bool] = []  # whether garbage was collected before each compilation that has not ended
+        self._interrupts = _Interrupts()
 
     def on_start(self, event: event.Event) -> None:
-        """Report the first compilation, and put off garbage collection. Numba does not call this for cached code."""
+        """Report the first compilation, and put off the rest. Numba does not call this for cached code."""
         self._collected.append(gc.isenabled())
+        self._interrupts.put_off()
         if not event.data["dispatcher"].py_func.__module__.startswith(__package__):
             return
         gc.disable()
@@ -211,9 +245,10 @@ class _Compilation(event.Listener):
             logging.getLogger(__name__).warning(_COMPILING if IS_TESTED else _COMPILING_SLOWLY)
 
     def on_end(self, event: event.Event) -> None:  # noqa: ARG002 - as numba calls it
-        """Enable garbage collection if it was enabled before the compilation that ends."""
+        """Enable garbage collection if it was enabled before the compilation that ends. Let Ctrl-C end the program."""
         if self._collected.pop():
             gc.enable()
+        self._interrupts.raise_if_any()
 
 
 event.register("numba:compile", _Compilation())  # type: ignore[no-untyped-call]

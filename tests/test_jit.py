@@ -4,6 +4,7 @@ import ast
 import gc
 import os
 import pickle
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from typing import get_args, get_origin
 import numba
 import numpy as np
 import pytest
+from numba.core import event
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
@@ -359,3 +361,33 @@ def test_a_first_run_is_no_silent_wait(tmp_path):
     assert said[0].stderr.startswith("Compiling to machine code")
     assert said[0].stderr.count("\n") == 1
     assert (said[0].stdout, said[1].stdout, said[1].stderr) == ("", "", "")
+
+
+class Interrupter(event.Listener):
+    """Presses Ctrl-C when a compilation has begun."""
+
+    def on_start(self, event):
+        if not self.pressed:
+            self.pressed = True
+            signal.raise_signal(signal.SIGINT)
+
+    def on_end(self, event):
+        pass
+
+    pressed = False
+
+
+def test_control_c_ends_a_program_once_the_kernel_is_compiled():
+    """LLVM's callbacks would lose it, or the compilation end in another error."""
+
+    @compiled.kernel
+    def doubled(x):
+        return 2.0 * x
+
+    interrupter = Interrupter()
+    with event.install_listener("numba:compile", interrupter), pytest.raises(KeyboardInterrupt):
+        doubled(1.0)
+    assert interrupter.pressed
+    assert doubled.signatures
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert doubled(2.0) == 4.0

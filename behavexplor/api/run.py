@@ -49,93 +49,6 @@ if TYPE_CHECKING:
 _SUFFIXES: Final = (".gif", ".png")  # of files that a replay is saved as
 
 
-class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """The environment in which a scenario was executed, as the driver saw it. Each `reset` begins the scenario.
-
-    Rendering and `unwrapped` are those of the environment. At the end of the episode, `info["trace"]` is its trace.
-    """
-
-    def __init__(self, simulation: Simulation, scenario: Scenario) -> None:
-        super().__init__(simulation.env)
-        self._scenario, self._simulation = scenario, simulation
-        self._driver: EpisodeDriver | None = None
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin the scenario, or the one in `options`."""
-        scenario = (options or {}).get("scenario", self._scenario)
-        self._driver = EpisodeDriver(self._simulation.driver(1), self.action_space, scenario)
-        return self.env.reset(seed=seed, options={**(options or {}), "scenario": scenario})
-
-    def driver(self, observation: Any) -> Any:
-        """Return the action of the run's driver after an observation of this episode.
-
-        Raises:
-            InputError: if no episode has begun.
-            behavexplor.execution.executor.ADSError: if the driver fails.
-        """
-        if self._driver is None:
-            raise InputError("The episode has not begun: call reset first")
-        return self._driver(observation)
-
-
-class Replay:
-    """The replay of one execution, which a notebook shows as an animation.
-
-    Args:
-        execution: the execution.
-        shape: the road on which it was driven.
-
-    Attributes:
-        number: number of the execution.
-        trace: its trace.
-        caption: what happened, such as "failed (collision and destination), ended by a collision".
-    """
-
-    def __init__(self, execution: Execution, shape: RoadShape) -> None:
-        self.number = execution.id
-        self._footage = footage_of(execution, shape)
-        self.trace: Trace = self._footage.trace
-        self.caption = self._footage.caption
-
-    def __repr__(self) -> str:
-        return f"<Replay of execution {self.number}: {self.caption}>"
-
-    @cached_property
-    def gif(self) -> bytes:
-        """The animation as a GIF file."""
-        file = BytesIO()
-        save_animation(file, self._footage)
-        return file.getvalue()
-
-    @property
-    def picture(self) -> Image.Image:
-        """The decisive frame: the first touch of a line, the last frame of other failures, or the nearest pass."""
-        return draw(self._footage, decisive_frame(self.trace, self._footage.violated))
-
-    def save(self, path: str | Path) -> Path:
-        """Write the animation (.gif) or the decisive frame (.png) to a file, and return its path.
-
-        Raises:
-            InputError: if the file has another suffix, or cannot be written.
-        """
-        target = Path(path)
-        if target.suffix not in _SUFFIXES:
-            raise InputError(f"A replay is saved as {' or '.join(_SUFFIXES)}, not as {target.name!r}")
-        with writing(f"The replay {target}"), new_file(target) as file:
-            if target.suffix == ".gif":
-                file.write(self.gif)
-            else:
-                self.picture.save(file, "PNG")
-        return target
-
-    def _repr_html_(self) -> str:
-        data = base64.b64encode(self.gif).decode()
-        title = escape(f"Execution {self.number} {self.caption}")
-        return (
-            f'<figure><img alt="{title}" src="data:image/gif;base64,{data}"><figcaption>{title}</figcaption></figure>'
-        )
-
-
 class Run:
     """One campaign in its run folder, finished or not. What it offers is read from the folder when it is asked for.
 
@@ -225,7 +138,7 @@ class Run:
         """
         return self._execution(number).scenario
 
-    def replay(self, number: int) -> Replay:
+    def replay(self, number: int) -> "Replay":
         """Return the replay of an execution, which a notebook shows as an animation.
 
         Raises:
@@ -233,7 +146,7 @@ class Run:
         """
         return Replay(self._execution(number), known_road(self.config.env, self.folder))
 
-    def env(self, number: int, render_mode: str | None = None) -> Episode:
+    def env(self, number: int, render_mode: str | None = None) -> "Episode":
         """Return the environment of an execution, for a loop of your own: its `reset` begins the scenario.
 
             env = run.env(17)
@@ -408,3 +321,90 @@ def open_run(
         InputError: if the folder is not a run folder, or the driver is not that of the run.
     """
     return Run(folder, driver, trust=trust, unconfined=unconfined)
+
+
+class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """The environment in which a scenario was executed, as the driver saw it. Each `reset` begins the scenario.
+
+    Rendering and `unwrapped` are those of the environment. At the end of the episode, `info["trace"]` is its trace.
+    """
+
+    def __init__(self, simulation: Simulation, scenario: Scenario) -> None:
+        super().__init__(simulation.env)
+        self._scenario, self._simulation = scenario, simulation
+        self._driver: EpisodeDriver | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin the scenario, or the one in `options`."""
+        scenario = (options or {}).get("scenario", self._scenario)
+        self._driver = EpisodeDriver(self._simulation.driver(1), self.action_space, scenario)
+        return self.env.reset(seed=seed, options={**(options or {}), "scenario": scenario})
+
+    def driver(self, observation: Any) -> Any:
+        """Return the action of the run's driver after an observation of this episode.
+
+        Raises:
+            InputError: if no episode has begun.
+            behavexplor.execution.executor.ADSError: if the driver fails.
+        """
+        if self._driver is None:
+            raise InputError("The episode has not begun: call reset first")
+        return self._driver(observation)
+
+
+class Replay:
+    """The replay of one execution, which a notebook shows as an animation.
+
+    Args:
+        execution: the execution.
+        shape: the road on which it was driven.
+
+    Attributes:
+        number: number of the execution.
+        trace: its trace.
+        caption: what happened, such as "failed (collision and destination), ended by a collision".
+    """
+
+    def __init__(self, execution: Execution, shape: RoadShape) -> None:
+        self.number = execution.id
+        self._footage = footage_of(execution, shape)
+        self.trace: Trace = self._footage.trace
+        self.caption = self._footage.caption
+
+    def __repr__(self) -> str:
+        return f"<Replay of execution {self.number}: {self.caption}>"
+
+    @cached_property
+    def gif(self) -> bytes:
+        """The animation as a GIF file."""
+        file = BytesIO()
+        save_animation(file, self._footage)
+        return file.getvalue()
+
+    @property
+    def picture(self) -> Image.Image:
+        """The decisive frame: the first touch of a line, the last frame of other failures, or the nearest pass."""
+        return draw(self._footage, decisive_frame(self.trace, self._footage.violated))
+
+    def save(self, path: str | Path) -> Path:
+        """Write the animation (.gif) or the decisive frame (.png) to a file, and return its path.
+
+        Raises:
+            InputError: if the file has another suffix, or cannot be written.
+        """
+        target = Path(path)
+        if target.suffix not in _SUFFIXES:
+            raise InputError(f"A replay is saved as {' or '.join(_SUFFIXES)}, not as {target.name!r}")
+        with writing(f"The replay {target}"), new_file(target) as file:
+            if target.suffix == ".gif":
+                file.write(self.gif)
+            else:
+                self.picture.save(file, "PNG")
+        return target
+
+    def _repr_html_(self) -> str:
+        data = base64.b64encode(self.gif).decode()
+        title = escape(f"Execution {self.number} {self.caption}")
+        return (
+            f'<figure><img alt="{title}" src="data:image/gif;base64,{data}"><figcaption>{title}</figcaption></figure>'
+        )

@@ -228,11 +228,14 @@ def preset_folder() -> Path:
 
 def run_folder(config: CampaignConfig, root: Path = RUNS) -> Path:
     """Return an unused folder for a campaign, named after its configuration and the current time."""
-    names = [
-        re.sub(r"[^\w.-]", "-", name.rstrip("/").rsplit("/", 1)[-1].removesuffix(".zip"))[:_LONGEST]
-        for name in (config.env, config.ads, config.method)
-    ]
-    return stamped_folder("-".join([*names, str(config.seed)]), root)
+    parts = [_part_of_name(name) for name in (config.env, config.ads, config.method)]
+    return stamped_folder("-".join([*parts, str(config.seed)]), root)
+
+
+def _part_of_name(name: str) -> str:
+    """Return a name, such as that of a policy's file, as part of the name of a folder."""
+    last = name.rstrip("/").rsplit("/", 1)[-1].removesuffix(".zip")
+    return re.sub(r"[^\w.-]", "-", last)[:_LONGEST]
 
 
 def stamped_folder(name: str, root: Path = RUNS) -> Path:

@@ -177,7 +177,13 @@ def tested_classes(found: RunSummary, run: Path, checks: Checks) -> list[CaseRes
     ] or [CaseResult("no failures")]
 
 
+def _methods() -> str:
+    """Return a help text with one line for each search method."""
+    return " Methods:" + "".join(f"\n{name}: {describe_method(name)}" for name in METHODS)
+
+
 _WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."
+# Types, defaults and help of these flags are those of the fields of `CampaignConfig`.
 _DRIVER = settings(
     CampaignConfig,
     "env ads activation env_config traffic stochastic trust unconfined",
@@ -188,10 +194,7 @@ _SEARCH = settings(
     CampaignConfig,
     "method budget seed batch specs confirm",
     box="search",
-    method=Shown(
-        "behavexplor; in highway-env's environments uniform",
-        " Methods:" + "".join(f"\n{name}: {describe_method(name)}" for name in METHODS),
-    ),
+    method=Shown(default="behavexplor; in highway-env's environments uniform", more=_methods()),
 )
 
 
@@ -212,7 +215,8 @@ def fuzz(
         checks: What makes the campaign fail as a check.
         output: What is printed and written.
     """
-    given, resumed = {**driver, **search}, flags.resume
+    given = {**driver, **search}
+    resumed = flags.resume  # the run folder
     workers = _checked_workers(flags.workers, flags.cluster)
     text = output.text  # checks the files to be written, before the work begins
     _ = checks.known  # checks its file as well
@@ -336,7 +340,8 @@ def _checked_workers(workers: int | None, cluster: str | None) -> int:
 
 def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
     in_file = read_config(file) if file else {}
-    specs = campaign_config({"specs": in_file.get("specs", ())}).specs  # checked before those given are appended
+    # checks those in the file, to which those given are appended
+    specs = campaign_config({"specs": in_file.get("specs", ())}).specs
     values = {**in_file, **given, "specs": (*specs, *given.get("specs", ()))}
     check_said_twice(values, given, file or "")
     trained = None

@@ -210,12 +210,17 @@ def _corners_in(box: Floats) -> Corners:
 
 @kernel_inner
 def _between_boxes(a: Corners, b: Corners) -> float:
-    """Return the distance between two boxes."""
-    if boxes_touch(a, b):
-        return 0.0
+    """Return the distance between two boxes [m]."""
+    return 0.0 if boxes_touch(a, b) else min(_corners_to_edges(a, b), _corners_to_edges(b, a))
+
+
+@kernel_inner
+def _corners_to_edges(a: Corners, b: Corners) -> float:
+    """Return the least distance of the corners of one box from the edges of the other one [m]."""
+    xs, ys = a
     least = math.inf
     for k in range(4):
-        least = min(least, _to_edges(a[0][k], a[1][k], b), _to_edges(b[0][k], b[1][k], a))
+        least = min(least, _to_edges(xs[k], ys[k], b))
     return least
 
 

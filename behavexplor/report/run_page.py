@@ -47,6 +47,59 @@ _SYMBOLS: Final = {
 }
 
 
+def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ()) -> str:
+    """Return the report on runs, at least one, as a page in ASCII. Equal run folders give equal pages.
+
+    `replays` is the greatest number of replays of each run. `pairs` compares the drivers of the first two runs in the
+    same scenarios, see `behavexplor.repair.pairs`; the page then begins with what the second driver fixes and breaks.
+    It is empty for runs that are not compared.
+
+    Raises:
+        InputError: if a run is damaged, or the number of replays is out of range.
+    """
+    if not 0 <= replays <= MOST_REPLAYS:
+        raise InputError(f"The number of replays must lie between 0 and {MOST_REPLAYS}, not be {replays}")
+    words = [{finding.id: finding.words for finding in run.findings} for run in runs[:2]]
+    compared = side_by_side(pairs, words, replays) if pairs else None
+    labels = _labels(runs, are_paired=bool(pairs))
+    shown = compared.shown if compared else ()
+    sections = [
+        section(number, run, label, replays, shown if number <= 2 else ())  # the first two runs are compared
+        for number, (run, label) in enumerate(zip(runs, labels, strict=True), 1)
+    ]
+    several = len(runs) > 1
+    return rendered(
+        "page.html.jinja",
+        ("theme.js", "page.js"),
+        sections=sections,
+        comparison=comparison(runs) if several else (),
+        overlaid=curves(runs, labels) if several and not pairs else (),
+        class_rows=class_rows(runs) if several else (),
+        pairs=compared,
+        values={"runs": [part.values for part in sections]},
+        PASSED=PASSED,
+    )
+
+
+def _labels(runs: Sequence[ReportedRun], *, are_paired: bool) -> list[str]:
+    """Return what the runs are called in a page: by their drivers if these are compared, or else by their folders."""
+    if are_paired:  # two runs in drawn scenarios, then two in searched ones, if any
+        patterns = ("A: {}", "B: {}", "A: {}, searched", "B: {}, searched")
+        return [pattern.format(run.config.ads) for pattern, run in zip(patterns, runs, strict=False)]
+    return [run.name if len(runs) == 1 else f"{i} {run.name}" for i, run in enumerate(runs, 1)]
+
+
+def written(path: Path, text: str) -> Path:
+    """Write a page, and return its path.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    with writing(f"The report {path}"):
+        write_durably(path, text)
+    return path
+
+
 @dataclass(frozen=True)
 class Ribbon:
     """The behavior of one execution as a strip."""
@@ -328,59 +381,6 @@ _FIGURES: Final[dict[str, Callable[[ReportedRun], str]]] = {  # rows of the comp
     "did not reproduce": lambda run: str(run.flaky()) if run.examined else _NOT_EXAMINED,
     "new behavior": lambda run: f"{run.novel / len(run.entries):.1%}",
 }
-
-
-def page(runs: Sequence[ReportedRun], replays: int, pairs: Sequence[Pairs] = ()) -> str:
-    """Return the report on runs, at least one, as a page in ASCII. Equal run folders give equal pages.
-
-    `replays` is the greatest number of replays of each run. `pairs` compares the drivers of the first two runs in the
-    same scenarios, see `behavexplor.repair.pairs`; the page then begins with what the second driver fixes and breaks.
-    It is empty for runs that are not compared.
-
-    Raises:
-        InputError: if a run is damaged, or the number of replays is out of range.
-    """
-    if not 0 <= replays <= MOST_REPLAYS:
-        raise InputError(f"The number of replays must lie between 0 and {MOST_REPLAYS}, not be {replays}")
-    words = [{finding.id: finding.words for finding in run.findings} for run in runs[:2]]
-    compared = side_by_side(pairs, words, replays) if pairs else None
-    labels = _labels(runs, are_paired=bool(pairs))
-    shown = compared.shown if compared else ()
-    sections = [
-        section(number, run, label, replays, shown if number <= 2 else ())  # the first two runs are compared
-        for number, (run, label) in enumerate(zip(runs, labels, strict=True), 1)
-    ]
-    several = len(runs) > 1
-    return rendered(
-        "page.html.jinja",
-        ("theme.js", "page.js"),
-        sections=sections,
-        comparison=comparison(runs) if several else (),
-        overlaid=curves(runs, labels) if several and not pairs else (),
-        class_rows=class_rows(runs) if several else (),
-        pairs=compared,
-        values={"runs": [part.values for part in sections]},
-        PASSED=PASSED,
-    )
-
-
-def _labels(runs: Sequence[ReportedRun], *, are_paired: bool) -> list[str]:
-    """Return what the runs are called in a page: by their drivers if these are compared, or else by their folders."""
-    if are_paired:  # two runs in drawn scenarios, then two in searched ones, if any
-        patterns = ("A: {}", "B: {}", "A: {}, searched", "B: {}, searched")
-        return [pattern.format(run.config.ads) for pattern, run in zip(patterns, runs, strict=False)]
-    return [run.name if len(runs) == 1 else f"{i} {run.name}" for i, run in enumerate(runs, 1)]
-
-
-def written(path: Path, text: str) -> Path:
-    """Write a page, and return its path.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
-    with writing(f"The report {path}"):
-        write_durably(path, text)
-    return path
 
 
 def comparison(runs: Sequence[ReportedRun]) -> tuple[tuple[str, tuple[str, ...]], ...]:
