@@ -36,7 +36,10 @@ class Lane:
     junction: bool = False  # whether the lane crosses a junction
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Compute x [m], y [m] and heading [rad] at stations, shape (...) [m], also beyond the ends."""
+        """Compute x [m], y [m] and heading [rad] at stations, shape (...) [m], also beyond the ends.
+
+        The result has the shape (..., 3).
+        """
         s = np.asarray(station, dtype=np.float64)
         heading = self.heading + self.curvature * s
         if self.curvature == 0.0:
