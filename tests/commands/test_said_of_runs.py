@@ -70,7 +70,7 @@ def test_a_driver_that_fails_in_every_execution_was_not_tested(tmp_path):
 def test_an_execution_on_an_unknown_road_is_drawn(monkeypatch, tmp_path):
     drawn = []
     monkeypatch.setattr(replaying, "_draw", lambda *given: drawn.append(given))
-    replaying._show(execution(0), RoadShape(()), (tmp_path,))  # as of an environment of another package
+    replaying._show(execution(0), RoadShape(()), tmp_path, None)  # as of an environment of another package
     assert len(drawn) == 1
 
 
