@@ -234,7 +234,7 @@ class _Compilation(event.Listener):
         self._interrupts = _Interrupts()
 
     def on_start(self, event: event.Event) -> None:
-        """Report the first compilation, and put off the rest. Numba does not call this for cached code."""
+        """Report the first compilation; put off garbage collection and Ctrl-C. Cached code does not come here."""
         self._collected.append(gc.isenabled())
         self._interrupts.put_off()
         if not event.data["dispatcher"].py_func.__module__.startswith(__package__):
@@ -245,7 +245,7 @@ class _Compilation(event.Listener):
             logging.getLogger(__name__).warning(_COMPILING if IS_TESTED else _COMPILING_SLOWLY)
 
     def on_end(self, event: event.Event) -> None:  # noqa: ARG002 - as numba calls it
-        """Enable garbage collection if it was enabled before the compilation that ends. Let Ctrl-C end the program."""
+        """Enable garbage collection if it was enabled before the compilation that ends, and raise what was put off."""
         if self._collected.pop():
             gc.enable()
         self._interrupts.raise_if_any()

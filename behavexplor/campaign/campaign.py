@@ -346,7 +346,7 @@ class Campaign:
             novelty=novelty,
             novel=novelty > NOVELTY_THRESHOLD,
             search=dict(learned),
-            # as encoded here for the worker, or by the judge that drew it, or by nobody so far
+            # encoded before for the worker, or by the judge that drew it; if by neither, now
             scenario=WrittenValues(pending.scenario or judged.scenario or encode_json(candidate.scenario.to_dict())),
         )
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from behavexplor.campaign.confirmation import not_confirmed, read_confirmations
+from behavexplor.campaign.run_summary import class_count
 from behavexplor.commands import OK, execution_failed, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.plain_tables import grid, plain_text
@@ -51,7 +52,7 @@ def report(found: Triage) -> str:
     """Return the findings as text for the terminal."""
     flaky = sum(not finding.same_verdict for finding in found.findings)
     again = f"{flaky} did not happen again" if flaky else "all happened again when they were driven again"
-    failures, classes = counted(len(found.findings), "failure"), counted(len(found.classes), "class")
+    failures, classes = counted(len(found.findings), "failure"), class_count(len(found.classes))
     summary = f"{failures} in {found.executions} executions, in {classes}; {again}"
     lines = [
         wrapped(summary),

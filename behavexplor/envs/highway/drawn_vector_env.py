@@ -95,7 +95,7 @@ class DrawnVectorEnv(VectorEnv[Array, Array, Array]):
 
     @property
     def short_traces(self) -> bool:
-        """Whether episodes are only counted, which is many times faster than recording them. False by default.
+        """Whether episodes are counted without being recorded, which is many times faster. False by default.
 
         While it is True, `infos["trace"]` has a trace of a single frame for an episode without failure, and None for
         any other. Scenarios must be drawn from `logical`, since they are not checked.
